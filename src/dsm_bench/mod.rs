@@ -1,0 +1,1 @@
+//! The ground-truth DSM benchmark: plan, build, manifest.

@@ -1,0 +1,17 @@
+//! sat3d: metric street-level 3-D from one overhead satellite image, at city scale, and the
+//! benchmark that proves how good it is.
+//!
+//! Data flows one way: the command line -> a module here -> `raster`, `crs`, `grid` -> `units`.
+//! See `docs/ARCHITECTURE.md` for the map.
+
+pub mod batch;
+pub mod crs;
+pub mod dsm_bench;
+pub mod grid;
+pub mod lidar;
+pub mod plan;
+pub mod raster;
+pub mod scene;
+pub mod table;
+pub mod units;
+pub mod vigor;

@@ -1,0 +1,1 @@
+//! Lidar tiles: index, block cache, warp onto an image grid.

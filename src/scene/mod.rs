@@ -1,0 +1,1 @@
+//! Simulated scenes: truth for tests, demos and measurements.

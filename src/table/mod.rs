@@ -1,0 +1,1 @@
+//! Tables that are written as CSV and (Geo)Parquet from one definition.
