@@ -11,7 +11,10 @@ use super::tiles::TileSet;
 use super::writer::{WRITERS, keep_records, write_products};
 use super::BenchError;
 use crate::batch::{ExitCode, Interrupt, Progress, Status};
+use crate::grid::ImageGrid;
+use crate::lidar::{FitErrors, PixelMap, PixelToCrs, TransformForm};
 use crate::plan::Plan;
+use rayon::prelude::*;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 use std::collections::HashMap;
@@ -31,6 +34,19 @@ pub struct Prepared {
     pub plan: Plan,
     /// What the user should know before the run.
     pub warnings: Vec<String>,
+}
+
+/// The worst measured bound of each transform form over the images of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct TransformMeasure {
+    /// Images that touch a tile.
+    pub images: usize,
+    /// 3 x 3 Chebyshev polynomial, metres.
+    pub chebyshev_m: f64,
+    /// Separable form, metres.
+    pub separable_m: f64,
+    /// Affine form, metres.
+    pub affine_m: f64,
 }
 
 /// What a run did, for people and machines.
@@ -180,6 +196,39 @@ impl Prepared {
     #[must_use]
     pub fn tiles(&self) -> &TileSet {
         &self.dsm
+    }
+
+    /// Fits every transform form to every image and its first candidate tile, and says how far the
+    /// worst is off; `None` when no image touches a tile.
+    #[must_use]
+    pub fn measure_transforms(&self) -> Option<TransformMeasure> {
+        let size = self.options.size;
+        let measured: Vec<FitErrors> = self
+            .images
+            .par_iter()
+            .filter_map(|entry| {
+                let center = entry.name.as_ref().ok()?.center();
+                let grid = ImageGrid::new(center, self.options.zoom, size, size).ok()?;
+                let tile = *self.dsm.candidates(&grid).first()?;
+                let crs = self.dsm.crs_of(tile);
+                let exact = PixelToCrs::WebMercator { grid, projection: crs.projection.clone() };
+                let lattice = self.dsm.tiles()[tile].lattice;
+                let errors = PixelMap::fit(exact, lattice, TransformForm::Chebyshev).ok()?.errors();
+                let metres = |v: f64| v * crs.metres_per_unit;
+                Some(FitErrors {
+                    chebyshev: metres(errors.chebyshev),
+                    separable: metres(errors.separable),
+                    affine: metres(errors.affine),
+                })
+            })
+            .collect();
+        let worst = measured.iter().copied().reduce(FitErrors::worst)?;
+        Some(TransformMeasure {
+            images: measured.len(),
+            chebyshev_m: worst.chebyshev,
+            separable_m: worst.separable,
+            affine_m: worst.affine,
+        })
     }
 
     /// Runs the plan on this shard's images that are not done yet, and (for a whole batch) writes

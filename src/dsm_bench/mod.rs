@@ -18,10 +18,11 @@ mod merge;
 mod options;
 mod plan;
 mod record;
+mod stac;
 mod tiles;
 mod writer;
 
-pub use build::{Prepared, RunSummary, prepare};
+pub use build::{Prepared, RunSummary, TransformMeasure, prepare};
 pub use compare::{CompareError, Comparison, ErrorSummary, compare};
 pub use images::{ImageEntry, ImageSource};
 pub use journal::JournalError;
