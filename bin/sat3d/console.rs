@@ -3,6 +3,7 @@
 //! Results go to standard output; everything else (progress, warnings, errors) to standard error.
 
 use sat3d::batch::ExitCode;
+use sat3d::recipe;
 use std::fmt;
 use std::io::{self, IsTerminal, Write};
 use std::panic::PanicHookInfo;
@@ -159,6 +160,9 @@ fn message(error: &anyhow::Error) -> String {
 
 /// What the user can do about an error of a kind that says too little by itself.
 fn help(error: &(dyn std::error::Error + 'static)) -> Option<String> {
+    if let Some(error) = error.downcast_ref::<recipe::Error>() {
+        return error.help();
+    }
     let error = error.downcast_ref::<io::Error>()?;
     let help = match error.kind() {
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {

@@ -2,6 +2,7 @@
 
 mod completions;
 mod console;
+mod run;
 
 use clap::{Parser, Subcommand};
 use sat3d::batch::ExitCode;
@@ -25,6 +26,7 @@ pub(crate) struct Cli {
 /// Every subcommand; the doc comment of each `Args` is its help.
 #[derive(Subcommand, Debug)]
 pub(crate) enum Command {
+    Run(run::Args),
     Completions(completions::Args),
 }
 
@@ -35,6 +37,7 @@ pub(crate) enum Command {
 /// is in the exit code.
 pub(crate) fn dispatch(command: &Command) -> anyhow::Result<ExitCode> {
     match command {
+        Command::Run(args) => run::run(args),
         Command::Completions(args) => completions::run(args),
     }
 }
