@@ -51,7 +51,7 @@ fi
 printf '\nsummary\n'
 printf '%s\n' "${results[@]}"
 # Tests that lack a tool or data pass and say so; nobody should take that for tested.
-skipped=$(grep -hi '^ *\(test \)\?skipped' "$logs"/tests*.log 2>/dev/null | sort | uniq -c)
+skipped=$(grep -hE '^(SKIPPED|skipped)' "$logs"/tests*.log 2>/dev/null | sort | uniq -c)
 if [ -n "$skipped" ]; then
     printf '\nparts of tests that were skipped (count, reason):\n%s\n' "$skipped"
 fi

@@ -36,7 +36,7 @@ pub struct Args {
     #[arg(short, long, global = true)]
     quiet: bool,
     /// Log filter in the syntax of the `tracing` crate, for example `sat3d::lidar=debug`.
-    #[arg(long, value_name = "FILTER", env = "SAT3D_LOG", global = true)]
+    #[arg(long, value_name = "FILTER", env = "SAT3D_LOG", hide_env_values = true, global = true)]
     log: Option<String>,
 }
 
