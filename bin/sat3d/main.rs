@@ -3,6 +3,7 @@
 mod completions;
 mod console;
 mod dsm_bench;
+mod run;
 
 use clap::{Parser, Subcommand};
 use sat3d::batch::ExitCode;
@@ -27,6 +28,7 @@ pub(crate) struct Cli {
 #[derive(Subcommand, Debug)]
 pub(crate) enum Command {
     DsmBench(dsm_bench::Args),
+    Run(run::Args),
     Completions(completions::Args),
 }
 
@@ -38,6 +40,7 @@ pub(crate) enum Command {
 pub(crate) fn dispatch(command: &Command) -> anyhow::Result<ExitCode> {
     match command {
         Command::DsmBench(args) => dsm_bench::run(args),
+        Command::Run(args) => run::run(args),
         Command::Completions(args) => completions::run(args),
     }
 }
