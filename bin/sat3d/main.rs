@@ -2,6 +2,7 @@
 
 mod completions;
 mod console;
+mod vigor;
 
 use clap::{Parser, Subcommand};
 use sat3d::batch::ExitCode;
@@ -26,6 +27,7 @@ pub(crate) struct Cli {
 #[derive(Subcommand, Debug)]
 pub(crate) enum Command {
     Completions(completions::Args),
+    Vigor(vigor::Args),
 }
 
 /// Runs one subcommand. Recipes call this once per step, `main` once.
@@ -36,6 +38,7 @@ pub(crate) enum Command {
 pub(crate) fn dispatch(command: &Command) -> anyhow::Result<ExitCode> {
     match command {
         Command::Completions(args) => completions::run(args),
+        Command::Vigor(args) => vigor::run(args),
     }
 }
 
