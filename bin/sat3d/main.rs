@@ -4,6 +4,7 @@ mod completions;
 mod console;
 mod dsm_bench;
 mod run;
+mod vigor;
 
 use clap::{Parser, Subcommand};
 use sat3d::batch::ExitCode;
@@ -30,6 +31,7 @@ pub(crate) enum Command {
     DsmBench(dsm_bench::Args),
     Run(run::Args),
     Completions(completions::Args),
+    Vigor(vigor::Args),
 }
 
 /// Runs one subcommand. Recipes call this once per step, `main` once.
@@ -42,6 +44,7 @@ pub(crate) fn dispatch(command: &Command) -> anyhow::Result<ExitCode> {
         Command::DsmBench(args) => dsm_bench::run(args),
         Command::Run(args) => run::run(args),
         Command::Completions(args) => completions::run(args),
+        Command::Vigor(args) => vigor::run(args),
     }
 }
 
