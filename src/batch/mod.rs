@@ -5,10 +5,14 @@
 
 mod atomic;
 mod exit;
+mod interrupt;
+mod progress;
 mod shard;
 
 pub use atomic::{AtomicFile, sync_folder, write_atomic};
 pub use exit::ExitCode;
+pub use interrupt::Interrupt;
+pub use progress::Progress;
 pub use shard::Shard;
 
 use serde::{Deserialize, Serialize};
