@@ -1,5 +1,8 @@
 //! Rasters: reading lidar tiles block by block, writing npz, GeoTIFF and PNG.
 
+pub mod deflate;
+pub mod npz;
+
 use crate::crs::CrsSpec;
 use crate::grid::GeoTransform;
 use crate::units::LinearUnit;

@@ -74,6 +74,9 @@ mod tests {
         out.put(0x0fff_ffff_ffff_ff, 52);
         out.align();
         out.put_bytes(b"ab");
-        assert_eq!(out.finish(), [0b1011_0011, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0x0f, b'a', b'b']);
+        assert_eq!(
+            out.finish(),
+            [0b1011_0011, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0x0f, b'a', b'b']
+        );
     }
 }

@@ -204,8 +204,7 @@ fn huffman_depths(leaves: &[(u32, u16)]) -> [u32; 64] {
     for made in 0..n - 1 {
         let mut weight = 0;
         for _ in 0..2 {
-            let take_leaf =
-                leaf < n && (node >= made || u64::from(leaves[leaf].0) <= inner[node]);
+            let take_leaf = leaf < n && (node >= made || u64::from(leaves[leaf].0) <= inner[node]);
             let child = if take_leaf {
                 weight += u64::from(leaves[leaf].0);
                 leaf += 1;

@@ -26,8 +26,8 @@ const LITERALS: u16 = 0;
 const RUN: u16 = u16::MAX;
 
 /// Distance symbol of each distance in samples.
-static SYMBOL_OF_SAMPLES: [u8; WINDOW + 1] = {
-    let mut table = [0; WINDOW + 1];
+static SYMBOL_OF_SAMPLES: [u8; 2 * WINDOW] = {
+    let mut table = [0; 2 * WINDOW];
     let mut d = 1;
     while d <= WINDOW {
         table[d] = distance_symbol(4 * d as u32) as u8;
@@ -95,9 +95,11 @@ struct Tokens {
 }
 
 struct Finder {
-    /// Low 16 bits of the last position with each hash; stale ones are harmless, because every
-    /// candidate is compared.
+    /// Low 16 bits of the last position with each hash of the upper three bytes; stale ones are
+    /// harmless, because every candidate is compared.
     last: Box<[u16; 1 << HASH_BITS]>,
+    /// The same for two whole samples in sequence.
+    last_pair: Box<[u16; 1 << HASH_BITS]>,
 }
 
 #[inline(always)]
@@ -105,13 +107,28 @@ const fn hash(key: u32) -> usize {
     (key.wrapping_mul(0x9E37_79B1) >> (32 - HASH_BITS)) as usize
 }
 
+#[inline(always)]
+const fn hash_pair(a: u32, b: u32) -> usize {
+    hash(a ^ b.rotate_left(16))
+}
+
+/// Puts `at` in `slot` and gives the distance to what was there, 0 if that is out of reach.
+#[inline(always)]
+fn distance_to_last(slot: &mut u16, at: usize) -> usize {
+    let distance = usize::from((at as u16).wrapping_sub(*slot));
+    *slot = at as u16;
+    if distance <= WINDOW.min(at) { distance } else { 0 }
+}
+
 impl Finder {
     fn new() -> Self {
-        Self { last: Box::new([0; 1 << HASH_BITS]) }
+        Self { last: Box::new([0; 1 << HASH_BITS]), last_pair: Box::new([0; 1 << HASH_BITS]) }
     }
 
     /// Tokenises `samples[start..end]`, and counts its symbols (without the end of the block).
-    fn block(
+    /// `PAIRS` looks for two equal samples in sequence first: heights on few levels repeat so often
+    /// that the nearest equal one seldom begins a long run.
+    fn block<const PAIRS: bool>(
         &mut self,
         samples: &[u32],
         start: usize,
@@ -130,49 +147,44 @@ impl Finder {
         let mut at = start;
         while at < end {
             let value = samples[at];
-            let slot = &mut self.last[hash(value >> 8)];
-            let distance = usize::from((at as u16).wrapping_sub(*slot));
-            *slot = at as u16;
-            let [b0, b1, b2, b3] = value.to_le_bytes();
-            if distance.wrapping_sub(1) < WINDOW && distance <= at {
-                let difference = samples[at - distance] ^ value;
-                if difference < 256 {
-                    let next_is_equal =
-                        at + 1 < end && samples[at + 1] == samples[at + 1 - distance];
-                    if difference == 0 || next_is_equal {
-                        let run = self.run(samples, at, distance);
-                        if run.literal_first {
-                            literals[0][usize::from(b0)] += 1;
-                        }
-                        let symbol = usize::from(SYMBOL_OF_SAMPLES[distance]);
-                        run.pieces(|length| {
-                            let length = usize::from(LENGTH_SYMBOL[length - 3]);
-                            counts.litlen[LENGTH_3 + length] += 1;
-                            counts.distance[symbol] += 1;
-                        });
-                        out.tokens.push(RUN);
-                        out.runs.push(run);
-                        at += run.samples as usize;
-                        continue;
-                    }
-                    let symbol = usize::from(SYMBOL_OF_SAMPLES[distance]);
-                    let as_literals = costs.literal[usize::from(b1)]
-                        + costs.literal[usize::from(b2)]
-                        + costs.literal[usize::from(b3)];
-                    if costs.short_match[symbol] <= as_literals {
-                        literals[0][usize::from(b0)] += 1;
-                        short_matches[symbol] += 1;
-                        out.tokens.push(distance as u16);
-                        at += 1;
-                        continue;
-                    }
+            let next = (at + 1).min(end - 1);
+            let mut distance = distance_to_last(&mut self.last[hash(value >> 8)], at);
+            if PAIRS {
+                let slot = &mut self.last_pair[hash_pair(value, samples[next])];
+                let pair = distance_to_last(slot, at);
+                if samples[at - pair] == value && samples[next - pair] == samples[next] && pair > 0
+                {
+                    distance = pair;
                 }
             }
-            literals[0][usize::from(b0)] += 1;
-            literals[1][usize::from(b1)] += 1;
-            literals[2][usize::from(b2)] += 1;
-            literals[3][usize::from(b3)] += 1;
-            out.tokens.push(LITERALS);
+            let [b0, b1, b2, b3] = value.to_le_bytes().map(usize::from);
+            // Whether a sample has a match is as good as random, so that a branch would be guessed
+            // wrong too often: up to the rare runs all goes without, by counts that grow by 0 or 1.
+            let difference = samples[at - distance] ^ value;
+            let matches = (distance > 0) & (difference < 256);
+            let symbol = usize::from(SYMBOL_OF_SAMPLES[distance]);
+            let next_is_equal = samples[next] == samples[next - distance];
+            if matches & ((difference == 0) | next_is_equal) {
+                let run = self.run(samples, at, distance);
+                literals[0][b0] += u32::from(run.literal_first);
+                run.pieces(|length| {
+                    let length = usize::from(LENGTH_SYMBOL[length - 3]);
+                    counts.litlen[LENGTH_3 + length] += 1;
+                    counts.distance[symbol] += 1;
+                });
+                out.tokens.push(RUN);
+                out.runs.push(run);
+                at += run.samples as usize;
+                continue;
+            }
+            let as_literals = costs.literal[b1] + costs.literal[b2] + costs.literal[b3];
+            let short = matches & (costs.short_match[symbol] <= as_literals);
+            literals[0][b0] += 1;
+            literals[1][b1] += u32::from(!short);
+            literals[2][b2] += u32::from(!short);
+            literals[3][b3] += u32::from(!short);
+            short_matches[symbol] += u32::from(short);
+            out.tokens.push(if short { distance as u16 } else { LITERALS });
             at += 1;
         }
         for (i, count) in counts.litlen[..256].iter_mut().enumerate() {
@@ -202,13 +214,20 @@ impl Finder {
     }
 }
 
+#[derive(Clone, Copy)]
+struct Literal {
+    bits: u16,
+    scale: u16,
+    len: u32,
+}
+
 /// Two codes in sequence.
 #[derive(Clone, Copy, Default)]
 struct Pair {
     bits: u32,
-    len: u8,
-    /// Extra bits that follow.
-    extra: u8,
+    scale: u32,
+    /// Extra bits included.
+    len: u16,
     /// Distance (bytes) at which the extra bits are zero.
     base: u16,
 }
@@ -223,7 +242,12 @@ pub(super) fn deflate(data: &[u8], last: bool, out: &mut BitWriter) {
     let mut costs = Costs::GUESS;
     for start in (0..samples.len()).step_by(BLOCK) {
         let end = (start + BLOCK).min(samples.len());
-        let mut counts = finder.block(&samples, start, end, &costs, &mut tokens);
+        let repetitive = 4 * tokens.runs.len() > tokens.tokens.len();
+        let mut counts = if repetitive {
+            finder.block::<true>(&samples, start, end, &costs, &mut tokens)
+        } else {
+            finder.block::<false>(&samples, start, end, &costs, &mut tokens)
+        };
         counts.litlen[END_OF_BLOCK] = 1;
         let plan = plan_block(&counts, 4 * (end - start));
         if let BlockPlan::Dynamic { codes, .. } | BlockPlan::Fixed { codes, .. } = &plan {
@@ -237,14 +261,17 @@ pub(super) fn deflate(data: &[u8], last: bool, out: &mut BitWriter) {
 }
 
 fn write_tokens(samples: &[u32], tokens: &Tokens, codes: &Codes, out: &mut BitWriter) {
-    let literal: [Code; 256] = std::array::from_fn(|i| codes.litlen[i]);
+    let literal: [Literal; 256] = std::array::from_fn(|i| {
+        let code = codes.litlen[i];
+        Literal { bits: code.bits, scale: 1 << code.len, len: u32::from(code.len) }
+    });
     let length_3 = codes.litlen[LENGTH_3];
     let short_match: [Pair; DISTANCE_SYMBOLS] = std::array::from_fn(|s| {
         let distance = codes.distance[s];
         Pair {
             bits: u32::from(length_3.bits) | u32::from(distance.bits) << length_3.len,
-            len: length_3.len + distance.len,
-            extra: DISTANCE_EXTRA[s],
+            len: u16::from(length_3.len + distance.len + DISTANCE_EXTRA[s]),
+            scale: 1 << (length_3.len + distance.len),
             base: distance_base(s as u32) as u16,
         }
     });
@@ -253,23 +280,20 @@ fn write_tokens(samples: &[u32], tokens: &Tokens, codes: &Codes, out: &mut BitWr
     for &token in &tokens.tokens {
         let [b0, b1, b2, b3] = samples[at].to_le_bytes().map(|b| literal[usize::from(b)]);
         if token == LITERALS {
-            let low = u64::from(b0.bits) | u64::from(b1.bits) << b0.len;
-            let high = u64::from(b2.bits) | u64::from(b3.bits) << b2.len;
-            let low_len = u32::from(b0.len + b1.len);
-            out.put(low | high << low_len, low_len + u32::from(b2.len + b3.len));
+            let low = u64::from(b0.bits) + u64::from(b1.bits) * u64::from(b0.scale);
+            let high = u64::from(b2.bits) + u64::from(b3.bits) * u64::from(b2.scale);
+            let scale = u64::from(b0.scale) * u64::from(b1.scale);
+            out.put(low + high * scale, b0.len + b1.len + b2.len + b3.len);
             at += 1;
         } else if token != RUN {
             let pair = short_match[usize::from(SYMBOL_OF_SAMPLES[usize::from(token)])];
             let extra = u64::from(4 * u32::from(token) - u32::from(pair.base));
-            let coded = u64::from(pair.bits) | extra << pair.len;
-            out.put(
-                u64::from(b0.bits) | coded << b0.len,
-                u32::from(b0.len) + u32::from(pair.len + pair.extra),
-            );
+            let coded = u64::from(pair.bits) + extra * u64::from(pair.scale);
+            out.put(u64::from(b0.bits) + coded * u64::from(b0.scale), b0.len + u32::from(pair.len));
             at += 1;
         } else if let Some(run) = runs.next() {
             if run.literal_first {
-                out.put(u64::from(b0.bits), u32::from(b0.len));
+                out.put(u64::from(b0.bits), b0.len);
             }
             let bytes = 4 * u32::from(run.distance);
             let symbol = distance_symbol(bytes);
