@@ -11,6 +11,7 @@ pub mod grid;
 pub mod lidar;
 pub mod plan;
 pub mod raster;
+pub mod recipe;
 pub mod scene;
 pub mod table;
 pub mod units;

@@ -3,6 +3,8 @@
 mod completions;
 mod console;
 mod dsm_bench;
+mod run;
+mod vigor;
 
 use clap::{Parser, Subcommand};
 use sat3d::batch::ExitCode;
@@ -27,7 +29,9 @@ pub(crate) struct Cli {
 #[derive(Subcommand, Debug)]
 pub(crate) enum Command {
     DsmBench(dsm_bench::Args),
+    Run(run::Args),
     Completions(completions::Args),
+    Vigor(vigor::Args),
 }
 
 /// Runs one subcommand. Recipes call this once per step, `main` once.
@@ -38,7 +42,9 @@ pub(crate) enum Command {
 pub(crate) fn dispatch(command: &Command) -> anyhow::Result<ExitCode> {
     match command {
         Command::DsmBench(args) => dsm_bench::run(args),
+        Command::Run(args) => run::run(args),
         Command::Completions(args) => completions::run(args),
+        Command::Vigor(args) => vigor::run(args),
     }
 }
 

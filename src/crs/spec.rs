@@ -15,6 +15,15 @@ impl CrsSpec {
         }
     }
 
+    /// The CRS as messages call it: `EPSG:2927 (NAD83(HARN) / Washington South (ftUS))`.
+    #[must_use]
+    pub fn label(&self) -> String {
+        match self.epsg {
+            Some(code) if self.name != format!("EPSG:{code}") => format!("EPSG:{code} ({})", self.name),
+            _ => self.name.clone(),
+        }
+    }
+
     /// The CRS of an EPSG code; name and unit are filled in where the table knows it.
     #[must_use]
     pub fn from_epsg(code: u32) -> Self {

@@ -18,8 +18,11 @@
 //! ```
 
 mod csv_text;
+mod geopackage;
 mod parquet_file;
 pub mod wkb;
+
+pub use geopackage::{Layer, check_geopackage, write_geopackage};
 
 use crate::batch::write_atomic;
 use std::borrow::Cow;
@@ -70,6 +73,24 @@ pub enum TableError {
         /// What it said.
         #[from]
         source: parquet::errors::ParquetError,
+    },
+    /// This build has no GDAL.
+    #[error(
+        "cannot write {}: this sat3d is built without GDAL, which writes GeoPackages; use a build with GDAL, or open the Parquet manifest in QGIS instead",
+        path.display()
+    )]
+    NoGeoPackage {
+        /// The file asked for.
+        path: PathBuf,
+    },
+    /// GDAL could not write a GeoPackage.
+    #[cfg(feature = "gdal")]
+    #[error("cannot write {}: {source}", path.display())]
+    GeoPackage {
+        /// The file.
+        path: PathBuf,
+        /// What GDAL says.
+        source: gdal::errors::GdalError,
     },
     /// The file could not be written.
     #[error("cannot write {}: {source}", path.display())]
