@@ -10,6 +10,7 @@ mod gdal_reader;
 mod gdal_setup;
 mod header;
 mod list;
+pub mod preview;
 mod sample;
 mod tiff_codec;
 mod tiff_directory;
