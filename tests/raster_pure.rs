@@ -1,4 +1,5 @@
 //! The pure reader against files written by the `tiff` crate's encoder and by hand, in every build.
+#![allow(clippy::unwrap_used, reason = "a test may fail")]
 
 mod raster_support;
 

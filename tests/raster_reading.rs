@@ -1,5 +1,6 @@
 //! The two readers against each other and against what was written, bit for bit.
 #![cfg(feature = "gdal")]
+#![allow(clippy::unwrap_used, reason = "a test may fail")]
 
 mod raster_support;
 
@@ -136,6 +137,10 @@ fn matrix<T: GdalType + Copy + 'static>(
                 &["TILED=YES", "BLOCKXSIZE=64", "BLOCKYSIZE=48"],
                 &["TILED=YES", "BLOCKXSIZE=256", "BLOCKYSIZE=256"],
             ] {
+                // Tiles larger than the raster need no more than one compression.
+                if layout.contains(&"BLOCKXSIZE=256") && compression != "DEFLATE" {
+                    continue;
+                }
                 for (endianness, big, bands, interleave) in [
                     ("LITTLE", "NO", 1, "PIXEL"),
                     ("BIG", "YES", 1, "PIXEL"),
