@@ -1,5 +1,7 @@
 //! What is written is read back by the `tiff` crate and by both of our readers.
 
+#![expect(clippy::unwrap_used, reason = "a test may fail")]
+
 use super::tags::Format;
 use super::*;
 use crate::grid::GeoTransform;
