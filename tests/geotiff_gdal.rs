@@ -38,19 +38,21 @@ fn gdal_samples(path: &Path) -> Vec<u32> {
     bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()
 }
 
-/// Runs a Python module on a file if the interpreter has it; returns what it printed.
-fn python_module(import: &str, arguments: &[&str], path: &Path) -> Option<String> {
-    let interpreter = std::env::var_os("SAT3D_PYTHON").unwrap_or_else(|| "python3".into());
-    let probe = Command::new(&interpreter).args(["-c", &format!("import {import}")]).output();
-    if !probe.is_ok_and(|output| output.status.success()) {
+/// A Python interpreter that has a module.
+fn python_with(import: &str) -> Option<std::ffi::OsString> {
+    // GDAL's own module is the system's; the others may be in an environment.
+    let found = std::env::var_os("SAT3D_PYTHON")
+        .into_iter()
+        .chain(["python3".into(), "/usr/bin/python3".into()])
+        .find(|interpreter| {
+            let probe =
+                Command::new(interpreter).args(["-c", &format!("import {import}")]).output();
+            probe.is_ok_and(|output| output.status.success())
+        });
+    if found.is_none() {
         skipped(&format!("no python with {import} (set SAT3D_PYTHON)"));
-        return None;
     }
-    let output = Command::new(interpreter).arg("-m").args(arguments).arg(path).output().unwrap();
-    let text = String::from_utf8_lossy(&output.stdout).into_owned();
-    let errors = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{text}\n{errors}");
-    Some(text)
+    found
 }
 
 fn heights(width: u32, height: u32) -> Vec<f32> {
@@ -210,21 +212,29 @@ fn gdal_reads_a_cog_as_it_was_meant() {
     }
 }
 
-#[test]
-fn validators_accept_the_cogs() {
+/// Runs a validator on COGs whose sizes give none, one and several overviews.
+fn validate(import: &str, arguments: &[&str]) {
+    let Some(interpreter) = python_with(import) else { return };
     let folder = tempfile::tempdir().unwrap();
-    let sizes = [(640, 640), (1, 1), (256, 256), (513, 300), (1300, 700)];
-    for (i, size) in sizes.into_iter().enumerate() {
+    for (i, size) in [(640, 640), (1, 1), (513, 300)].into_iter().enumerate() {
         let (path, _) = cog(folder.path(), &format!("{i}.tif"), size, Some(5703));
-        let rio = ["rasterio.rio.main", "cogeo", "validate", "--strict"];
-        if let Some(text) = python_module("rio_cogeo", &rio, &path) {
-            assert!(text.contains("is a valid cloud optimized GeoTIFF"), "{text}");
-        }
-        let gdal = ["osgeo_utils.samples.validate_cloud_optimized_geotiff", "--full-check=yes"];
-        let module = "osgeo_utils.samples.validate_cloud_optimized_geotiff";
-        if let Some(text) = python_module(module, &gdal, &path) {
-            assert!(text.contains("is a valid cloud optimized GeoTIFF"), "{text}");
-            assert!(!text.contains("warning"), "{text}");
-        }
+        let output = Command::new(&interpreter).args(arguments).arg(path).output().unwrap();
+        let text = String::from_utf8_lossy(&output.stdout);
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{text}\n{errors}");
+        assert!(text.contains("is a valid cloud optimized GeoTIFF"), "{text}\n{errors}");
+        assert!(!text.contains("warning"), "{text}");
     }
+}
+
+#[test]
+fn rio_cogeo_accepts_the_cogs() {
+    let main = "from rasterio.rio.main import main_group; main_group()";
+    validate("rio_cogeo", &["-c", main, "cogeo", "validate", "--strict"]);
+}
+
+#[test]
+fn gdals_validator_accepts_the_cogs() {
+    let module = "osgeo_utils.samples.validate_cloud_optimized_geotiff";
+    validate(module, &["-m", module, "--full-check=yes"]);
 }
