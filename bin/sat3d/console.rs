@@ -128,6 +128,14 @@ where
     }
 }
 
+/// Writes a result to standard output.
+///
+/// # Errors
+/// Standard output cannot be written; [`report`] ends quietly when its reader is gone.
+pub fn print(text: &str) -> anyhow::Result<()> {
+    Ok(io::stdout().lock().write_all(text.as_bytes())?)
+}
+
 /// Prints an error with its causes, and help where there is some; the exit code to end with.
 pub fn report(error: &anyhow::Error) -> ExitCode {
     if error.chain().any(is_broken_pipe) {

@@ -1,1 +1,23 @@
-//! Lidar tiles: index, block cache, warp onto an image grid.
+//! Lidar tiles: where they lie, how their blocks are cached, and how they are warped onto an image
+//! grid.
+//!
+//! * [`Lattice`]: the endless pixel lattice that a tile is a window of; tiles on one lattice can act
+//!   as one raster.
+//! * [`PixelMap`]: image pixel -> lattice coordinate, exactly or by a bounded polynomial.
+//! * [`Resampling`] and [`warp`]: GDAL's resampling rules, NaN-aware.
+//! * [`TileIndex`]: footprints in an R-tree.
+//! * [`TileStore`]: the tiles themselves, read through one bounded block cache.
+
+mod index;
+mod lattice;
+mod pixel_map;
+mod resample;
+mod store;
+mod warp;
+
+pub use index::{TileFootprint, TileIndex};
+pub use lattice::{Lattice, LatticeWindow, PHASE_BITS};
+pub use pixel_map::{FitErrors, PixelMap, PixelToCrs, TransformForm};
+pub use resample::{EdgeRule, Resampling};
+pub use store::{CacheStatistics, TileStore};
+pub use warp::{WarpError, WarpSettings, WarpStatistics, WindowSource, warp};
