@@ -6,7 +6,7 @@
 //! false origin instead of from the apex, and parallels may be as close as wished, or equal.
 
 use super::CrsError;
-use super::ellipsoid::{Ellipsoid, wrap_degrees};
+use super::ellipsoid::{Ellipsoid, on_globe, wrap_degrees};
 use crate::grid::{LonLat, Projected};
 
 /// Lambert conformal conic projection of one ellipsoid; coordinates in metres.
@@ -86,7 +86,7 @@ impl LambertConic {
     /// [`CrsError::Domain`] at the other pole, beyond 90 degrees, and for NaN or infinity.
     pub fn forward(&self, at: LonLat) -> Result<Projected, CrsError> {
         let LonLat { lon_deg, lat_deg } = at;
-        if !(lat_deg.abs() <= 90.0) || !lon_deg.is_finite() {
+        if !on_globe(at) {
             return Err(domain(format!("longitude {lon_deg}, latitude {lat_deg}")));
         }
         // rho / rho_0 - 1.
@@ -142,17 +142,16 @@ fn cone_constant(ellipsoid: &Ellipsoid, lat_1: f64, lat_2: f64) -> f64 {
     }
     // The parallel nearer to the equator first: the ratio below is then positive, and its logarithm
     // keeps its digits.
-    let (lat_1, lat_2) =
-        if lat_1.abs() > lat_2.abs() { (lat_2, lat_1) } else { (lat_1, lat_2) };
+    let (lat_1, lat_2) = if lat_1.abs() > lat_2.abs() { (lat_2, lat_1) } else { (lat_1, lat_2) };
     let (phi_1, phi_2) = (lat_1.to_radians(), lat_2.to_radians());
     // m = cos(beta), tan(beta) = (1 - f) tan(phi): ln m1 - ln m2 is half the logarithm of
     // (1 + tan^2 beta_2) / (1 + tan^2 beta_1).
     let flat = 1.0 - ellipsoid.f;
     let t_1 = flat * libm::tan(phi_1);
-    let tangent_difference = flat * libm::sin((lat_2 - lat_1).to_radians())
-        / (libm::cos(phi_1) * libm::cos(phi_2));
-    let tangent_sum = flat * libm::sin((lat_2 + lat_1).to_radians())
-        / (libm::cos(phi_1) * libm::cos(phi_2));
+    let tangent_difference =
+        flat * libm::sin((lat_2 - lat_1).to_radians()) / (libm::cos(phi_1) * libm::cos(phi_2));
+    let tangent_sum =
+        flat * libm::sin((lat_2 + lat_1).to_radians()) / (libm::cos(phi_1) * libm::cos(phi_2));
     let ratio = tangent_difference * tangent_sum / (1.0 + t_1 * t_1);
     0.5 * libm::log1p(ratio) / ellipsoid.isometric_difference(lat_2, lat_1)
 }

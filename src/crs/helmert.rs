@@ -6,7 +6,7 @@
 //! matrix, so forward and inverse differ by the square of the rotations: about 1e-7 m.
 
 use super::CrsError;
-use super::ellipsoid::{Ellipsoid, wrap_degrees};
+use super::ellipsoid::{Ellipsoid, on_globe, wrap_degrees};
 use crate::grid::LonLat;
 
 /// How the rotations count (EPSG:9607 and EPSG:9606).
@@ -89,7 +89,7 @@ fn multiply(m: &[[f64; 3]; 3], v: [f64; 3]) -> [f64; 3] {
 /// Geocentric coordinates of a position at ellipsoidal height 0, metres.
 fn geocentric(ellipsoid: &Ellipsoid, at: LonLat) -> Result<[f64; 3], CrsError> {
     let LonLat { lon_deg, lat_deg } = at;
-    if !(lat_deg.abs() <= 90.0) || !lon_deg.is_finite() {
+    if !on_globe(at) {
         return Err(CrsError::Domain {
             projection: "the datum step".to_owned(),
             what: format!("longitude {lon_deg}, latitude {lat_deg}"),
@@ -117,8 +117,5 @@ fn geographic(ellipsoid: &Ellipsoid, [x, y, z]: [f64; 3]) -> LonLat {
     let (s, c) = (z * a / norm, p * b / norm);
     let second_e2 = e2 / (1.0 - e2);
     let lat = libm::atan2(z + second_e2 * b * s * s * s, p - e2 * a * c * c * c);
-    LonLat {
-        lon_deg: wrap_degrees(libm::atan2(y, x).to_degrees()),
-        lat_deg: lat.to_degrees(),
-    }
+    LonLat { lon_deg: wrap_degrees(libm::atan2(y, x).to_degrees()), lat_deg: lat.to_degrees() }
 }

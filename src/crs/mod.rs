@@ -10,6 +10,7 @@ mod conic;
 mod ellipsoid;
 mod geokeys;
 mod helmert;
+mod identify;
 #[cfg(feature = "proj")]
 mod proj;
 mod resolve;
@@ -17,6 +18,8 @@ mod scale;
 mod spec;
 mod table;
 mod transverse_mercator;
+mod vertical;
+mod wkt;
 
 #[cfg(feature = "proj")]
 pub use authority::check_against_proj;

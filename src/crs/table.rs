@@ -151,8 +151,8 @@ impl Method {
                 Self::Conic2 { lat_0: p, lon_0: l, lat_1: a, lat_2: b, x_0: x, y_0: y },
             ) => {
                 // Either parallel may be called the first.
-                let parallels = (angle(lat_1, a) && angle(lat_2, b))
-                    || (angle(lat_1, b) && angle(lat_2, a));
+                let parallels =
+                    (angle(lat_1, a) && angle(lat_2, b)) || (angle(lat_1, b) && angle(lat_2, a));
                 parallels && angle(lat_0, p) && angle(lon_0, l) && length(x_0, x) && length(y_0, y)
             }
             _ => false,

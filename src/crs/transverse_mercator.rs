@@ -5,7 +5,7 @@
 //! nanometers" (2011), equations 35 and 36; a test computes them afresh by quadrature.
 
 use super::CrsError;
-use super::ellipsoid::{Ellipsoid, wrap_degrees};
+use super::ellipsoid::{Ellipsoid, on_globe, wrap_degrees};
 use crate::grid::{LonLat, Projected};
 use std::f64::consts::PI;
 
@@ -150,14 +150,18 @@ impl TransverseMercator {
         k_0: f64,
         (x_0, y_0): (f64, f64),
     ) -> Result<Self, CrsError> {
-        let finite = lon_0.is_finite() && x_0.is_finite() && y_0.is_finite() && k_0.is_finite();
-        if !(lat_0.abs() <= 90.0) || !finite || k_0 <= 0.0 {
-            return Err(domain(format!("its own parameters: origin {lat_0}, {lon_0}, scale {k_0}")));
+        let origin = LonLat { lon_deg: lon_0, lat_deg: lat_0 };
+        let finite = x_0.is_finite() && y_0.is_finite() && k_0.is_finite();
+        if !on_globe(origin) || !finite || k_0 <= 0.0 {
+            return Err(domain(format!(
+                "its own parameters: origin {lat_0}, {lon_0}, scale {k_0}"
+            )));
         }
         let n = ellipsoid.n();
         let n2 = n * n;
         let rectifying = ellipsoid.a / (1.0 + n)
-            * (1.0 + n2 * (1.0 / 4.0 + n2 * (1.0 / 64.0 + n2 * (1.0 / 256.0 + n2 * 25.0 / 16_384.0))));
+            * (1.0
+                + n2 * (1.0 / 4.0 + n2 * (1.0 / 64.0 + n2 * (1.0 / 256.0 + n2 * 25.0 / 16_384.0))));
         let mut projection = Self {
             ellipsoid,
             lon_0,
@@ -180,7 +184,7 @@ impl TransverseMercator {
     /// infinity.
     pub fn forward(&self, at: LonLat) -> Result<Projected, CrsError> {
         let LonLat { lon_deg, lat_deg } = at;
-        if !(lat_deg.abs() <= 90.0) || !lon_deg.is_finite() {
+        if !on_globe(at) {
             return Err(domain(format!("longitude {lon_deg}, latitude {lat_deg}")));
         }
         let lambda = wrap_degrees(lon_deg - self.lon_0).to_radians();
@@ -188,7 +192,7 @@ impl TransverseMercator {
         let (sin_lambda, cos_lambda) = (libm::sin(lambda), libm::cos(lambda));
         let xi = libm::atan2(tan, cos_lambda);
         let eta = libm::asinh(sin_lambda / libm::hypot(tan, cos_lambda));
-        if !(eta.abs() <= Self::MAX_ETA) {
+        if !in_reach(eta) {
             return Err(domain(format!(
                 "longitude {lon_deg}, latitude {lat_deg}, too far from the central meridian {}",
                 self.lon_0
@@ -210,7 +214,7 @@ impl TransverseMercator {
         let xi = (at.y - self.y_0) / self.radius + self.xi_0;
         let eta = (at.x - self.x_0) / self.radius;
         // The northing runs on past the poles, down the meridian opposite to the central one.
-        if !(eta.abs() <= Self::MAX_ETA && xi.abs() <= PI) {
+        if !(in_reach(eta) && (-PI..=PI).contains(&xi)) {
             return Err(domain(format!("x {}, y {} m: off the map", at.x, at.y)));
         }
         let (xi, eta) = clenshaw(&self.beta, -1.0, xi, eta);
@@ -223,6 +227,11 @@ impl TransverseMercator {
             lat_deg: libm::atan(tan).to_degrees().clamp(-90.0, 90.0),
         })
     }
+}
+
+/// Whether an easting is within [`TransverseMercator::MAX_ETA`]; NaN is not.
+fn in_reach(eta: f64) -> bool {
+    (-TransverseMercator::MAX_ETA..=TransverseMercator::MAX_ETA).contains(&eta)
 }
 
 /// Values of the series' coefficients at a third flattening.

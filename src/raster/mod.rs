@@ -25,6 +25,9 @@ pub use tiff_reader::TiffReader;
 #[cfg(feature = "gdal")]
 pub(crate) use gdal_setup::limit_gdal_cache;
 
+pub mod deflate;
+pub mod npz;
+
 use crate::crs::CrsSpec;
 use crate::grid::GeoTransform;
 use crate::units::LinearUnit;

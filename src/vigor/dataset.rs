@@ -319,6 +319,8 @@ impl Dataset {
             let message = "the city of its lines cannot be told; give --city, or move the file to splits/<City>/";
             problems.push(Problem::of_file(&file.name, ProblemKind::City, message));
             report.skipped = Some("its city is unknown".to_owned());
+        } else if parsed.lines == 0 && problems.is_empty() {
+            report.skipped = Some("it is empty".to_owned());
         } else {
             for record in &parsed.records {
                 match self.take_record(index, record, default_city.as_deref(), layout) {

@@ -62,6 +62,8 @@ pub struct RoleStatistics {
     pub pairs: u64,
     /// Pairs whose panorama lies outside the image.
     pub outside: u64,
+    /// Pairs whose label says so.
+    pub label_outside: u64,
     /// Length of label minus exact pixel, pixels.
     pub residual_px: Option<Distribution>,
     /// The same on the ground, metres.
@@ -77,6 +79,7 @@ impl RoleStatistics {
         Self {
             pairs: measured.len() as u64,
             outside: measured.iter().filter(|m| !m.inside).count() as u64,
+            label_outside: measured.iter().filter(|m| m.label_inside == Some(false)).count() as u64,
             residual_px: distribution(|r| r.px),
             residual_m: distribution(|r| r.metres),
         }

@@ -273,7 +273,11 @@ fn write_role(f: &mut fmt::Formatter<'_>, name: &str, role: &RoleStatistics) -> 
         )?;
     }
     let share = 100.0 * role.outside as f64 / role.pairs as f64;
-    writeln!(f, "{} of {} outside the image ({share:.1} %)", role.outside, role.pairs)
+    write!(f, "{} of {} outside the image ({share:.1} %", role.outside, role.pairs)?;
+    if role.label_outside != role.outside {
+        write!(f, "; {} by their labels", role.label_outside)?;
+    }
+    writeln!(f, ")")
 }
 
 fn plural(n: u64, what: &str) -> String {
