@@ -59,9 +59,11 @@ fn every_command_in_the_readme_works() {
 
     let program = assert_cmd::cargo::cargo_bin!("sat3d");
     let path = std::env::join_paths(
-        program.parent().map(Path::to_path_buf).into_iter().chain(std::env::split_paths(
-            &std::env::var_os("PATH").unwrap_or_default(),
-        )),
+        program
+            .parent()
+            .map(Path::to_path_buf)
+            .into_iter()
+            .chain(std::env::split_paths(&std::env::var_os("PATH").unwrap_or_default())),
     )
     .expect("a PATH");
     for block in commands {
@@ -101,9 +103,8 @@ fn links(markdown: &str) -> Vec<String> {
 
 #[test]
 fn every_link_in_the_docs_leads_somewhere() {
-    let mut pages: Vec<PathBuf> = ["README.md", "CONTRIBUTING.md", "CHANGELOG.md"]
-        .map(|name| root().join(name))
-        .into();
+    let mut pages: Vec<PathBuf> =
+        ["README.md", "CONTRIBUTING.md", "CHANGELOG.md"].map(|name| root().join(name)).into();
     let docs = fs::read_dir(root().join("docs")).expect("lists").flatten();
     pages.extend(docs.map(|entry| entry.path()).filter(|p| p.extension() == Some("md".as_ref())));
     let mut broken = Vec::new();

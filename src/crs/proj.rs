@@ -268,12 +268,7 @@ impl Object {
     pub(super) fn wkt_as(&self, dialect: ffi::PJ_WKT_TYPE) -> Option<String> {
         // SAFETY: the object is alive; the string belongs to it and is copied.
         unsafe {
-            text(ffi::proj_as_wkt(
-                self.context(),
-                self.pj.as_ptr(),
-                dialect,
-                std::ptr::null(),
-            ))
+            text(ffi::proj_as_wkt(self.context(), self.pj.as_ptr(), dialect, std::ptr::null()))
         }
     }
 
