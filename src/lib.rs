@@ -13,6 +13,7 @@ pub mod plan;
 pub mod raster;
 pub mod recipe;
 pub mod scene;
+pub mod stac;
 pub mod table;
 pub mod units;
 pub mod vigor;

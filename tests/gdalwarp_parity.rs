@@ -56,15 +56,7 @@ fn difference(ours: &[f32], theirs: &[f32], factor: f64) -> Difference {
     d
 }
 
-fn build(
-    raster: &Path,
-    at: &[LonLat],
-    unit: &str,
-    zoom: i32,
-    size: usize,
-    extra: &[&str],
-    out: &Path,
-) -> Vec<Vec<f32>> {
+fn build(raster: &Path, at: &[LonLat], unit: &str, zoom: i32, size: usize, extra: &[&str], out: &Path) -> Vec<Vec<f32>> {
     let list = out.join("names.txt");
     let stems: Vec<String> =
         at.iter().map(|p| format!("satellite_{}_{}", p.lat_deg, p.lon_deg)).collect();
@@ -107,9 +99,7 @@ fn every_kernel_agrees_with_gdalwarp_on_real_rasters() {
                 if kernel == "nearest" {
                     // A step function: position differences of nanometres may pick the neighbour.
                     let other = ours.iter().zip(&theirs).filter(|(a, b)| {
-                        !a.is_nan()
-                            && !b.is_nan()
-                            && (f64::from(**a) - f64::from(**b) * factor).abs() > 1e-3
+                        !a.is_nan() && !b.is_nan() && (f64::from(**a) - f64::from(**b) * factor).abs() > 1e-3
                     });
                     assert!(other.count() <= 4, "{name} nearest");
                 } else {
@@ -126,9 +116,7 @@ fn a_coarser_target_widens_the_kernel_as_gdalwarp_does() {
     let (Some(data), true) = (test_data(test), has_tool(test, "gdalwarp")) else { return };
     let raster = data.join("rasters/nrw_dsm_25832.tif");
     let at = &positions(&raster)[..1];
-    for (zoom, kernel) in
-        [(15, "bilinear"), (15, "cubic"), (14, "bilinear"), (15, "average"), (13, "average")]
-    {
+    for (zoom, kernel) in [(15, "bilinear"), (15, "cubic"), (14, "bilinear"), (15, "average"), (13, "average")] {
         let out = tempfile::tempdir().unwrap();
         let size = 160;
         let ours = build(&raster, at, "metre", zoom, size, &["-r", kernel], out.path());
@@ -137,24 +125,11 @@ fn a_coarser_target_widens_the_kernel_as_gdalwarp_does() {
         let cells = cells_per_pixel(&raster, at[0], zoom);
         let x = format!("XSCALE={:.12}", 1.0 / cells.0);
         let y = format!("YSCALE={:.12}", 1.0 / cells.1);
-        let theirs = gdalwarp(
-            &raster,
-            (at[0].lat_deg, at[0].lon_deg),
-            zoom,
-            size,
-            &["-r", kernel, "-wo", &x, "-wo", &y],
-        );
+        let theirs =
+            gdalwarp(&raster, (at[0].lat_deg, at[0].lon_deg), zoom, size, &["-r", kernel, "-wo", &x, "-wo", &y]);
         let d = difference(&ours[0], &theirs, 1.0);
-        eprintln!(
-            "zoom {zoom} {kernel}: {} px, worst {:.2e} m, validity {}",
-            d.both, d.worst_m, d.validity
-        );
-        assert!(
-            d.both > 1000 && d.validity <= 4,
-            "zoom {zoom} {kernel}: {} {}",
-            d.both,
-            d.validity
-        );
+        eprintln!("zoom {zoom} {kernel}: {} px, worst {:.2e} m, validity {}", d.both, d.worst_m, d.validity);
+        assert!(d.both > 1000 && d.validity <= 4, "zoom {zoom} {kernel}: {} {}", d.both, d.validity);
         assert!(d.worst_m < 1e-3, "zoom {zoom} {kernel}: {} m", d.worst_m);
     }
 }
@@ -163,14 +138,12 @@ fn a_coarser_target_widens_the_kernel_as_gdalwarp_does() {
 fn cells_per_pixel(raster: &Path, at: LonLat, zoom: i32) -> (f64, f64) {
     let reader = open(raster, &OpenOptions::default()).unwrap();
     let header = reader.header();
-    let projection =
-        resolve(header.crs.as_ref().unwrap(), &ResolveOptions::default()).unwrap().projection;
+    let projection = resolve(header.crs.as_ref().unwrap(), &ResolveOptions::default()).unwrap().projection;
     let grid = sat3d::grid::ImageGrid::new(at, zoom as u8, 160, 160).unwrap();
     let cell = |x: f64, y: f64| {
         let p = projection.forward(grid.lonlat(PixelPoint { x: 80.0 + x, y: 80.0 + y })).unwrap();
         header.geotransform.to_pixel(p)
     };
-    let (west, east, north, south) =
-        (cell(-0.5, 0.0), cell(0.5, 0.0), cell(0.0, -0.5), cell(0.0, 0.5));
+    let (west, east, north, south) = (cell(-0.5, 0.0), cell(0.5, 0.0), cell(0.0, -0.5), cell(0.0, 0.5));
     ((east.x - west.x).hypot(south.x - north.x), (east.y - west.y).hypot(south.y - north.y))
 }

@@ -8,8 +8,10 @@
 mod gdal_reader;
 #[cfg(feature = "gdal")]
 mod gdal_setup;
+pub mod geotiff;
 mod header;
 mod list;
+pub mod preview;
 mod sample;
 mod tiff_codec;
 mod tiff_directory;
