@@ -9,7 +9,8 @@ use super::{Coverage, ImageEntry};
 use crate::batch::Status;
 use crate::grid::{ImageGrid, PixelPoint};
 use crate::lidar::{
-    PixelMap, PixelToCrs, TransformForm, WarpError, WarpSettings, WarpStatistics, WindowSource, warp,
+    PixelMap, PixelToCrs, TransformForm, WarpError, WarpSettings, WarpStatistics, WindowSource,
+    warp,
 };
 use crate::raster::geotiff::{CogSpec, encode_cog};
 use crate::raster::npz::{self, Compression, NpyArray, NpyData};
@@ -119,8 +120,10 @@ impl Workshop<'_> {
         record.transform = Some(warped.form.name().to_owned());
         record.transform_bound_m = Some(warped.bound_m);
         if missing > self.options.max_nan_pct {
-            let mut reason =
-                format!("{missing:.2} % of the pixels have no data, more than {} %", self.options.max_nan_pct);
+            let mut reason = format!(
+                "{missing:.2} % of the pixels have no data, more than {} %",
+                self.options.max_nan_pct
+            );
             if self.options.coverage == Coverage::BestTile && candidates.len() > 1 {
                 let layers = self.dsm.regrouped(&candidates, Coverage::Mosaic);
                 let mosaic = self.cover(&grid, self.dsm, layers, Coverage::Mosaic, false)?;
@@ -132,7 +135,8 @@ impl Workshop<'_> {
             }
             return Err(NoDsm(Status::Skipped, reason));
         }
-        record.tiles = warped.tiles.iter().map(|&tile| self.dsm.tiles()[tile].file_name()).collect();
+        record.tiles =
+            warped.tiles.iter().map(|&tile| self.dsm.tiles()[tile].file_name()).collect();
         record.uncertain_px = Some(warped.uncertain);
         let mut heights = warped.heights;
         self.quantise(&mut heights);
@@ -150,7 +154,9 @@ impl Workshop<'_> {
             .and_then(image::ImageReader::with_guessed_format)
             .map_err(|error| failed(format!("{}: {error}", file.display())))?
             .into_dimensions()
-            .map_err(|error| failed(format!("{}: not a readable image: {error}", file.display())))?;
+            .map_err(|error| {
+                failed(format!("{}: not a readable image: {error}", file.display()))
+            })?;
         if (width, height) != (self.options.size, self.options.size) {
             return Err(failed(format!(
                 "{}: the image is {width} x {height} pixels, the grid {size} x {size}; say --size if all images have another size",
@@ -173,7 +179,9 @@ impl Workshop<'_> {
         let mut first_crs = None;
         for layer in layers {
             // The reference grid is a box in the CRS of the first candidate; others cannot share it.
-            if self.options.grid == GridKind::Reference && *first_crs.get_or_insert(layer.crs) != layer.crs {
+            if self.options.grid == GridKind::Reference
+                && *first_crs.get_or_insert(layer.crs) != layer.crs
+            {
                 continue;
             }
             let (map, form) = self.map(grid, tiles, &layer)?;
@@ -229,13 +237,23 @@ impl Workshop<'_> {
         }
     }
 
-    fn warp_one(&self, tiles: &TileSet, candidate: &Candidate<'_>, ids: bool) -> Result<Warped, WarpError> {
+    fn warp_one(
+        &self,
+        tiles: &TileSet,
+        candidate: &Candidate<'_>,
+        ids: bool,
+    ) -> Result<Warped, WarpError> {
         let pixels = self.options.size as usize * self.options.size as usize;
         let mut heights = vec![f32::NAN; pixels];
         let mut tile_ids = ids.then(|| vec![u16::MAX; pixels]);
         let settings = self.settings(tiles, &candidate.layer);
-        let statistics =
-            warp(&candidate.map, &candidate.layer, &settings, &mut heights, tile_ids.as_deref_mut())?;
+        let statistics = warp(
+            &candidate.map,
+            &candidate.layer,
+            &settings,
+            &mut heights,
+            tile_ids.as_deref_mut(),
+        )?;
         let crs = &tiles.crs[candidate.layer.crs];
         let WarpStatistics { valid, uncertain, steepest } = statistics;
         Ok(Warped {
@@ -429,7 +447,10 @@ impl Workshop<'_> {
         }
         if self.options.preview {
             let pixel = grid.ground_sample_distance();
-            files.push((format!("{stem}_dsm.png"), preview::hillshade_png(heights, size, size, pixel)));
+            files.push((
+                format!("{stem}_dsm.png"),
+                preview::hillshade_png(heights, size, size, pixel),
+            ));
         }
     }
 
@@ -442,7 +463,9 @@ impl Workshop<'_> {
         let stated = self.dsm.crs.iter().find_map(|crs| crs.spec.vertical.as_ref());
         match (self.options.vertical_crs, stated) {
             (Some(code), _) => format!("EPSG:{code}"),
-            (None, Some(vertical)) => format!("as the lidar tiles: {} (converted to metres)", vertical.name),
+            (None, Some(vertical)) => {
+                format!("as the lidar tiles: {} (converted to metres)", vertical.name)
+            }
             (None, None) => "as the lidar tiles, which do not name it".to_owned(),
         }
     }
@@ -478,7 +501,8 @@ fn most_pixels(
     for y in 0..height {
         map.fill_row(y, 0..width, 0.5, &mut cols, &mut rows)?;
         let points = cols.iter().zip(&rows);
-        most += points.filter(|&(&x, &y)| extent.contains(PixelPoint { x, y }, -1.0)).count() as u64;
+        most +=
+            points.filter(|&(&x, &y)| extent.contains(PixelPoint { x, y }, -1.0)).count() as u64;
     }
     Ok(most.min(all))
 }
