@@ -26,7 +26,7 @@ fn spec() -> GeoTiffSpec {
 
 fn write(path: &Path, spec: &GeoTiffSpec) {
     let rows: Vec<f32> =
-        (0..spec.width * spec.height).map(|k| 200.0 + ((k * 2_654_435_761_u32) >> 20) as f32 / 64.0).collect();
+        (0..spec.width * spec.height).map(|k| 200.0 + (k.wrapping_mul(2_654_435_761) >> 20) as f32 / 64.0).collect();
     let mut writer = GeoTiffWriter::create(path, spec).unwrap();
     writer.write_rows(&rows).unwrap();
     writer.finish().unwrap();

@@ -75,11 +75,7 @@ pub(super) fn plan_block(counts: &Counts, raw_len: usize) -> BlockPlan {
         return BlockPlan::Stored;
     }
     if fixed <= dynamic {
-        let codes = Box::new(Codes {
-            litlen: canonical(&fixed_litlen),
-            distance: canonical(&fixed_distance),
-        });
-        return BlockPlan::Fixed { codes, bits: fixed };
+        return BlockPlan::Fixed { codes: Box::new(fixed_codes()), bits: fixed };
     }
     let codes = Box::new(Codes { litlen: canonical(&litlen), distance: canonical(&distance) });
     BlockPlan::Dynamic { codes, header, bits: dynamic }
@@ -153,6 +149,19 @@ fn fixed_lengths() -> ([u8; LITLEN_SYMBOLS], [u8; DISTANCE_SYMBOLS]) {
     litlen[144..256].fill(9);
     litlen[256..280].fill(7);
     (litlen, [5; DISTANCE_SYMBOLS])
+}
+
+/// The codes of RFC 1951, 3.2.6. They are canonical over 288 and 32 symbols, of which the last two of
+/// each never occur but take their share of the code space.
+fn fixed_codes() -> Codes {
+    let mut litlen = [8_u8; 288];
+    litlen[144..256].fill(9);
+    litlen[256..280].fill(7);
+    let (litlen, distance) = (canonical(&litlen), canonical(&[5_u8; 32]));
+    Codes {
+        litlen: std::array::from_fn(|symbol| litlen[symbol]),
+        distance: std::array::from_fn(|symbol| distance[symbol]),
+    }
 }
 
 /// Code lengths for `counts`: Huffman's, shortened to `limit` bits where they are longer. Symbols
@@ -391,6 +400,24 @@ mod tests {
         }
         for symbol in 0..30 {
             assert_eq!(distance_symbol(distance_base(symbol)), symbol);
+        }
+    }
+
+    #[test]
+    fn fixed_codes_are_those_of_rfc_1951() {
+        let codes = fixed_codes();
+        for (symbol, bits, len) in [
+            (0, 0b0011_0000, 8),
+            (143, 0b1011_1111, 8),
+            (144, 0b1_1001_0000, 9),
+            (255, 0b1_1111_1111, 9),
+            (256, 0, 7),
+            (279, 0b001_0111, 7),
+            (280, 0b1100_0000, 8),
+        ] {
+            let code = codes.litlen[symbol];
+            let written = code.bits.reverse_bits() >> (16 - code.len);
+            assert_eq!((written, code.len), (bits, len), "symbol {symbol}");
         }
     }
 
