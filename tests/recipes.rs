@@ -153,6 +153,51 @@ fn a_step_that_cannot_work_stops_the_chain() {
 }
 
 #[test]
+fn a_step_of_which_some_items_fail_does_not_stop_the_chain() {
+    let case = Case::new(TWO_STEPS);
+    // A line that is no label: recorded as a problem of the file, and the rest is read.
+    let labels = case.path("data/Seattle/pano_label_balanced.txt");
+    fs::write(labels, "this is no label\n").expect("writes");
+    let output = run(&mut case.command(&[]), 1);
+    let text = stdout(&output);
+    assert!(text.contains("1  vigor ingest  some failed"), "{text}");
+    assert!(text.contains("2  vigor ingest  some failed"), "{text}");
+    assert!(text.ends_with("\nThe lists are in made.\n"), "{text}");
+}
+
+#[test]
+fn explaining_names_what_is_not_there_yet_and_makes_nothing() {
+    let recipe = r#"
+        description = "Two steps, of which the second needs the first."
+        [[step]]
+        command = "vigor ingest"
+        folder = "../data/Seattle"
+        out = "../made"
+        [[step]]
+        command = "dsm-bench build"
+        lidar = ["../made/tiles"]
+        vigor = "../data/Seattle"
+        out = "../dsm"
+        "#;
+    let case = Case::new(recipe);
+    let output = run(&mut case.command(&["--explain"]), 0);
+    assert_eq!(
+        stdout(&output),
+        "Two steps, of which the second needs the first.\n\n\
+         step 1 of 2: sat3d vigor ingest data/Seattle --out made\n  \
+         (this command has no plan to explain)\n\n\
+         step 2 of 2: sat3d dsm-bench build --lidar made/tiles --vigor data/Seattle --out dsm\n  \
+         (its plan depends on made/tiles, which step 1 makes; explain again after that)\n\n"
+    );
+    assert!(!case.path("made").exists() && !case.path("dsm").exists());
+
+    // An input that no step makes is an error of the chain.
+    let case = Case::new(&recipe.replace("../made/tiles", "../nowhere"));
+    let output = run(&mut case.command(&["--explain"]), 2);
+    assert!(stderr(&output).contains("nowhere"), "{}", stderr(&output));
+}
+
+#[test]
 fn an_interrupt_stops_the_chain_between_its_steps() {
     let mut recipe = "[paths]\ncity = '../data/Seattle'\n".to_owned();
     for number in 0..300 {
