@@ -371,24 +371,10 @@ impl Workshop<'_> {
     }
 
     fn describe(&self, record: &mut Record, heights: &[f32], steepest: f64, transform_m: f64) {
-        let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
-        // Means of rows, then the mean of those by valid count: f64 throughout, in a fixed order.
-        let (mut sum, mut count) = (0.0_f64, 0_u64);
-        for row in heights.chunks(self.options.size as usize) {
-            let mut row_sum = 0.0_f64;
-            for &height in row {
-                if !height.is_nan() {
-                    low = low.min(height);
-                    high = high.max(height);
-                    row_sum += f64::from(height);
-                    count += 1;
-                }
-            }
-            sum += row_sum;
-        }
+        let Extent { low, high, mean } = Extent::of(heights);
         record.min_m = Some(f64::from(low));
         record.max_m = Some(f64::from(high));
-        record.mean_m = Some(sum / count as f64);
+        record.mean_m = Some(mean);
         record.steepest = Some(steepest);
         // What one image can lose: every horizontal bound times the steepest source gradient.
         record.height_bound_m = self.options.resampling.slope_factor().map(|factor| {
@@ -471,6 +457,37 @@ impl Workshop<'_> {
     }
 }
 
+/// Lowest, highest and mean height over the valid pixels.
+struct Extent {
+    low: f32,
+    high: f32,
+    mean: f64,
+}
+
+impl Extent {
+    /// In `f64` over eight interleaved lanes, merged in order: the same result on every machine, and
+    /// no addition waits for the one before.
+    fn of(heights: &[f32]) -> Self {
+        const LANES: usize = 8;
+        let (mut low, mut high) = ([f32::INFINITY; LANES], [f32::NEG_INFINITY; LANES]);
+        let (mut sum, mut count) = ([0.0_f64; LANES], [0_u32; LANES]);
+        for group in heights.chunks(LANES) {
+            for (lane, &height) in group.iter().enumerate() {
+                // Comparisons with NaN are false, so that an empty pixel changes nothing.
+                low[lane] = if height < low[lane] { height } else { low[lane] };
+                high[lane] = if height > high[lane] { height } else { high[lane] };
+                sum[lane] += if height.is_nan() { 0.0 } else { f64::from(height) };
+                count[lane] += u32::from(!height.is_nan());
+            }
+        }
+        Self {
+            low: low.into_iter().fold(f32::INFINITY, f32::min),
+            high: high.into_iter().fold(f32::NEG_INFINITY, f32::max),
+            mean: sum.iter().sum::<f64>() / f64::from(count.iter().sum::<u32>()),
+        }
+    }
+}
+
 struct Candidate<'a> {
     rank: usize,
     layer: LayerSource<'a>,
@@ -499,6 +516,8 @@ fn most_pixels(
     let (mut cols, mut rows) = (Vec::new(), Vec::new());
     let mut most = 0;
     for y in 0..height {
+        cols.clear();
+        rows.clear();
         map.fill_row(y, 0..width, 0.5, &mut cols, &mut rows)?;
         let points = cols.iter().zip(&rows);
         most +=
