@@ -3,6 +3,7 @@
 //! Results go to standard output; everything else (progress, warnings, errors) to standard error.
 
 use sat3d::batch::ExitCode;
+use sat3d::recipe;
 use std::fmt;
 use std::io::{self, IsTerminal, Write};
 use std::panic::PanicHookInfo;
@@ -35,7 +36,7 @@ pub struct Args {
     #[arg(short, long, global = true)]
     quiet: bool,
     /// Log filter in the syntax of the `tracing` crate, for example `sat3d::lidar=debug`.
-    #[arg(long, value_name = "FILTER", env = "SAT3D_LOG", global = true)]
+    #[arg(long, value_name = "FILTER", env = "SAT3D_LOG", hide_env_values = true, global = true)]
     log: Option<String>,
 }
 
@@ -127,6 +128,14 @@ where
     }
 }
 
+/// Writes a result to standard output.
+///
+/// # Errors
+/// Standard output cannot be written; [`report`] ends quietly when its reader is gone.
+pub fn print(text: &str) -> anyhow::Result<()> {
+    Ok(io::stdout().lock().write_all(text.as_bytes())?)
+}
+
 /// Prints an error with its causes, and help where there is some; the exit code to end with.
 pub fn report(error: &anyhow::Error) -> ExitCode {
     if error.chain().any(is_broken_pipe) {
@@ -159,6 +168,9 @@ fn message(error: &anyhow::Error) -> String {
 
 /// What the user can do about an error of a kind that says too little by itself.
 fn help(error: &(dyn std::error::Error + 'static)) -> Option<String> {
+    if let Some(error) = error.downcast_ref::<recipe::Error>() {
+        return error.help();
+    }
     let error = error.downcast_ref::<io::Error>()?;
     let help = match error.kind() {
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {

@@ -2,6 +2,8 @@
 
 mod completions;
 mod console;
+mod dsm_bench;
+mod run;
 mod vigor;
 
 use clap::{Parser, Subcommand};
@@ -26,6 +28,8 @@ pub(crate) struct Cli {
 /// Every subcommand; the doc comment of each `Args` is its help.
 #[derive(Subcommand, Debug)]
 pub(crate) enum Command {
+    DsmBench(dsm_bench::Args),
+    Run(run::Args),
     Completions(completions::Args),
     Vigor(vigor::Args),
 }
@@ -37,6 +41,8 @@ pub(crate) enum Command {
 /// is in the exit code.
 pub(crate) fn dispatch(command: &Command) -> anyhow::Result<ExitCode> {
     match command {
+        Command::DsmBench(args) => dsm_bench::run(args),
+        Command::Run(args) => run::run(args),
         Command::Completions(args) => completions::run(args),
         Command::Vigor(args) => vigor::run(args),
     }
