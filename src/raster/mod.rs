@@ -26,7 +26,9 @@ pub use tiff_reader::TiffReader;
 pub(crate) use gdal_setup::limit_gdal_cache;
 
 pub mod deflate;
+pub mod geotiff;
 pub mod npz;
+pub mod preview;
 
 use crate::crs::CrsSpec;
 use crate::grid::GeoTransform;
