@@ -49,7 +49,7 @@ fn grids_of_every_kind_come_back() {
     // Heights on few levels repeat, which is what the search for pairs is for.
     round_trip(&bytes_of(city.iter().map(|h| (h * 100.0).round() / 100.0)));
     round_trip(&bytes_of(city.iter().map(|h| (h * 4.0).round() / 4.0)));
-    round_trip(&bytes_of([f32::NAN; 70_000]));
+    round_trip(&bytes_of(std::iter::repeat_n(f32::NAN, 70_000)));
     round_trip(&bytes_of((0..70_000).map(|i| i as f32)));
     // Void, then values, then void again, at every phase of the 258-byte matches.
     for n in 60..70 {
@@ -84,7 +84,7 @@ fn noise_costs_no_more_than_storing_it() {
 
 #[test]
 fn constant_areas_cost_almost_nothing() {
-    let packed = deflate(&bytes_of([12.5; 640 * 640]), Samples::Words32, Compression::Fast);
+    let packed = deflate(&bytes_of(std::iter::repeat_n(12.5, 640 * 640)), Samples::Words32, Compression::Fast);
     assert!(packed.len() < 2500, "{}", packed.len());
 }
 
