@@ -416,7 +416,7 @@ mod tests {
         let (mut ac, mut ar, mut bc, mut br) = (vec![], vec![], vec![], vec![]);
         let mut worst: f64 = 0.0;
         for y in (0..640).step_by(13).chain([639]) {
-            [&mut ac, &mut ar, &mut bc, &mut br].map(Vec::clear);
+            [&mut ac, &mut ar, &mut bc, &mut br].into_iter().for_each(Vec::clear);
             a.fill_row(y, 0..640, 0.5, &mut ac, &mut ar).expect("row");
             b.fill_row(y, 0..640, 0.5, &mut bc, &mut br).expect("row");
             for k in 0..640 {
