@@ -110,7 +110,7 @@ pub fn prepare(options: BuildOptions) -> Result<Prepared, BenchError> {
             "--geotiff writes Web-Mercator grids, and --grid reference is none; leave one of them out".into(),
         ));
     }
-    if !(options.tolerance_m > 0.0) {
+    if options.tolerance_m.is_nan() || options.tolerance_m <= 0.0 {
         return Err(BenchError::Input(format!(
             "--tolerance {}: must be above 0 (metres)",
             options.tolerance_m

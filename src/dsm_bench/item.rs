@@ -427,7 +427,6 @@ impl Workshop<'_> {
                 vertical_epsg: self.options.vertical_crs,
                 unit: Some(LinearUnit::Metre),
                 metadata,
-                ..CogSpec::default()
             };
             files.push((format!("{stem}_dsm.tif"), encode_cog(heights, &spec)));
         }

@@ -50,7 +50,8 @@ impl Layer {
             match joined {
                 Some(layer) => layer.tiles.push(number),
                 None => {
-                    layers.push(Self { crs: tile.crs, lattice: tile.lattice, tiles: vec![number] })
+                    let tiles = vec![number];
+                    layers.push(Self { crs: tile.crs, lattice: tile.lattice, tiles });
                 }
             }
         }

@@ -75,11 +75,7 @@ impl TileSet {
         phase_bits: u32,
     ) -> Result<Self, BenchError> {
         let paths = list_tiles(inputs)?;
-        let open = OpenOptions {
-            nodata: options.nodata,
-            memory_limit: options.memory,
-            ..OpenOptions::default()
-        };
+        let open = OpenOptions { nodata: options.nodata, memory_limit: options.memory };
         let mut store = TileStore::new(options.memory, open);
         let crs_override = options
             .crs

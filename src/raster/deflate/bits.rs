@@ -71,7 +71,7 @@ mod tests {
         out.put(0b1, 1);
         out.put(0b01, 2);
         out.put(0b1_0110, 5);
-        out.put(0x0fff_ffff_ffff_ff, 52);
+        out.put(0x000f_ffff_ffff_ffff, 52);
         out.align();
         out.put_bytes(b"ab");
         assert_eq!(

@@ -34,7 +34,7 @@ fn heights(width: usize, height: usize) -> Vec<f32> {
             let (x, y) = ((i % width) as f32, (i / width) as f32);
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
             let noise = (state >> 16) as f32 / 65_536.0 * 0.02;
-            let roof = if (x as u32 / 40 + y as u32 / 30) % 3 == 0 { 12.0 } else { 0.0 };
+            let roof = if (x as u32 / 40 + y as u32 / 30).is_multiple_of(3) { 12.0 } else { 0.0 };
             50.0 + 0.013 * x + 0.007 * y + roof + noise
         })
         .collect()
@@ -62,7 +62,7 @@ fn grids_of_every_kind_come_back() {
 fn short_input_and_odd_lengths_come_back() {
     for len in (0..40).chain([255, 256, 257, 258, 259, 260, 261, 262, 65_535, 65_536, 65_537]) {
         round_trip(&vec![7; len]);
-        round_trip(&(0..len).map(|i| (i * i >> 3) as u8).collect::<Vec<_>>());
+        round_trip(&(0..len).map(|i| ((i * i) >> 3) as u8).collect::<Vec<_>>());
     }
 }
 
@@ -84,7 +84,11 @@ fn noise_costs_no_more_than_storing_it() {
 
 #[test]
 fn constant_areas_cost_almost_nothing() {
-    let packed = deflate(&bytes_of(std::iter::repeat_n(12.5, 640 * 640)), Samples::Words32, Compression::Fast);
+    let packed = deflate(
+        &bytes_of(std::iter::repeat_n(12.5, 640 * 640)),
+        Samples::Words32,
+        Compression::Fast,
+    );
     assert!(packed.len() < 2500, "{}", packed.len());
 }
 
@@ -94,7 +98,8 @@ fn matches_reach_the_whole_window_and_no_farther() {
     let distinct = |n: u32| (0..n).map(|i| i.wrapping_mul(0x9E37_79B1)).collect::<Vec<u32>>();
     for period in [8191, 8192, 8193, 16_384] {
         let words = distinct(period);
-        let data: Vec<u8> = [&words[..], &words, &words].concat().iter().flat_map(|w| w.to_le_bytes()).collect();
+        let data: Vec<u8> =
+            [&words[..], &words, &words].concat().iter().flat_map(|w| w.to_le_bytes()).collect();
         round_trip(&data);
         let packed = deflate(&data, Samples::Words32, Compression::Fast).len();
         assert_eq!(packed < data.len() / 2, period <= 8192, "period {period}: {packed} bytes");

@@ -207,8 +207,9 @@ impl Finder {
             .take_while(|(a, b)| a == b)
             .count();
         // The run repeats every `distance` samples: its last ones stand for all of it.
-        for i in at + 1 + later.saturating_sub(distance)..=at + later {
-            self.last[hash(samples[i] >> 8)] = i as u16;
+        let first = at + 1 + later.saturating_sub(distance);
+        for (i, sample) in (first..).zip(&samples[first..=at + later]) {
+            self.last[hash(sample >> 8)] = i as u16;
         }
         Run { distance: distance as u16, samples: 1 + later as u32, literal_first }
     }
