@@ -3,6 +3,13 @@
 //! Coordinates come from one code path in every build: closed forms for a table of EPSG codes
 //! (checked against PROJ where it is linked), PROJ for every other CRS.
 
+mod geokeys;
+mod resolve;
+mod spec;
+
+pub use geokeys::GeoKeys;
+pub use resolve::resolve;
+
 use crate::grid::{LonLat, Projected};
 use crate::units::LinearUnit;
 use serde::{Deserialize, Serialize};
@@ -102,6 +109,21 @@ pub struct ResolvedCrs {
     pub warnings: Vec<String>,
 }
 
+/// How far a closed form lies from PROJ, over a set of positions.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CheckReport {
+    /// Number of positions compared.
+    pub points: usize,
+    /// Largest difference from PROJ's own computation of the same definition, metres on the ground.
+    pub same_operation_m: f64,
+    /// Largest difference from the operation that PROJ picks by itself there, metres on the ground.
+    pub default_operation_m: f64,
+    /// Name of the operation that PROJ picks by itself.
+    pub default_operation: String,
+    /// PROJ's version.
+    pub proj_version: String,
+}
+
 /// Why a CRS cannot be served, or a position not be projected.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum CrsError {
@@ -112,5 +134,55 @@ pub enum CrsError {
         projection: String,
         /// The position, in words.
         what: String,
+    },
+    /// Text, WKT or GeoKeys that describe no CRS.
+    #[error("`{input}` describes no coordinate reference system: {reason}")]
+    Malformed {
+        /// What was given, shortened.
+        input: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The CRS's axes are angles.
+    #[error(
+        "{name} is geographic (degrees), and lidar tiles must be in a projected CRS; reproject them (gdalwarp -t_srs EPSG:...), or say `--crs EPSG:...` if the tile's own statement is wrong"
+    )]
+    Geographic {
+        /// The CRS.
+        name: String,
+    },
+    /// The CRS is outside the closed-form table, and no PROJ is linked or PROJ cannot serve it.
+    #[error("{name}: {reason}")]
+    Unsupported {
+        /// The CRS.
+        name: String,
+        /// Why, and what to do.
+        reason: String,
+    },
+    /// The operation asked for does not lead to the CRS.
+    #[error("operation `{operation}` cannot be used for {name}: {reason}")]
+    Operation {
+        /// What `--operation` said.
+        operation: String,
+        /// The CRS.
+        name: String,
+        /// Why, and what to do.
+        reason: String,
+    },
+    /// The parts of a definition disagree (a code and its parameters, for example).
+    #[error("{name} contradicts itself: {what}; say which CRS it is with `--crs EPSG:...`")]
+    Contradiction {
+        /// The CRS.
+        name: String,
+        /// Both statements.
+        what: String,
+    },
+    /// PROJ failed.
+    #[error("PROJ cannot {action}: {message}")]
+    Proj {
+        /// What was tried.
+        action: String,
+        /// PROJ's own message.
+        message: String,
     },
 }
