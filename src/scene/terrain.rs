@@ -1,16 +1,18 @@
 //! The bare earth: an analytic function with its gradient, smooth everywhere.
 //!
 //! `z(p) = base + slope . p + sum of a_k sin(k_k . p + phase_k)`. With water, the land goes down to
-//! the shore over [`BEACH_WIDTH_M`] and on below the level, along a curved shoreline; the blend
-//! is the quintic smoothstep, so that the second derivative is continuous too.
+//! a curved shoreline over a strip that is the wider the higher the land stands; the blend is the
+//! quintic smoothstep, so that the second derivative is continuous too.
 
 use super::hash::Draw;
-use super::spec::{ExtentSpec, SceneSpec, Side, WaterSpec};
+use super::spec::{SceneSpec, Side, WaterSpec};
 use std::f64::consts::TAU;
 
-/// Distance from the shore over which the land comes down to the water, metres.
-pub const BEACH_WIDTH_M: f64 = 34.0;
-/// Slope of the beach and of the ground under water.
+/// Least distance from the shore over which the land comes down to the water, metres.
+const LEAST_STRIP_M: f64 = 34.0;
+/// Width of that strip per metre by which the land stands above the water: slopes stay walkable.
+const STRIP_PER_METRE: f64 = 6.0;
+/// Slope at the water's edge.
 const BEACH_SLOPE: f64 = 0.06;
 /// Number of waves.
 const WAVES: usize = 5;
@@ -43,6 +45,7 @@ struct Shore {
     inland: [f64; 2],
     offset: f64,
     level: f64,
+    strip: f64,
     swing: Vec<Wave>,
 }
 
@@ -99,7 +102,7 @@ impl Terrain {
             base: t.base_height_metres,
             slope: [slope * libm::sin(azimuth), slope * libm::cos(azimuth)],
             waves,
-            shore: spec.water.map(|w| Shore::new(&w, &spec.extent, &mut draw)),
+            shore: spec.water.map(|w| Shore::new(&w, spec, &mut draw)),
         }
     }
 
@@ -128,12 +131,12 @@ impl Terrain {
         if d < 0.0 {
             return Ground { z: shore.level, dx: 0.0, dy: 0.0, water: true };
         }
-        if d >= BEACH_WIDTH_M {
+        if d >= shore.strip {
             return Ground { z, dx, dy, water: false };
         }
-        let t = d / BEACH_WIDTH_M;
+        let t = d / shore.strip;
         let blend = t * t * t * (t * (6.0 * t - 15.0) + 10.0);
-        let rate = 30.0 * t * t * (t * (t - 2.0) + 1.0) / BEACH_WIDTH_M;
+        let rate = 30.0 * t * t * (t * (t - 2.0) + 1.0) / shore.strip;
         let beach = shore.level + BEACH_SLOPE * d;
         let along = BEACH_SLOPE * (1.0 - blend) + (z - beach) * rate;
         Ground {
@@ -174,7 +177,7 @@ impl Terrain {
             + plane * reach
             + self.waves.iter().map(|w| w.amplitude).sum::<f64>();
         // The quintic smoothstep is steepest in the middle: 30 / 16 of its mean.
-        open + bend * (BEACH_SLOPE + highest.max(0.0) * 1.875 / BEACH_WIDTH_M)
+        open + bend * (BEACH_SLOPE + highest.max(0.0) * 1.875 / shore.strip)
     }
 
     /// The lowest that the land can be within `reach` metres of the origin, metres.
@@ -187,7 +190,8 @@ impl Terrain {
 }
 
 impl Shore {
-    fn new(water: &WaterSpec, extent: &ExtentSpec, draw: &mut Draw) -> Self {
+    fn new(water: &WaterSpec, spec: &SceneSpec, draw: &mut Draw) -> Self {
+        let extent = &spec.extent;
         let (inland, size) = match water.side {
             Side::South => ([0.0, 1.0], extent.height_metres),
             Side::North => ([0.0, -1.0], extent.height_metres),
@@ -208,7 +212,14 @@ impl Shore {
                 }
             })
             .collect();
-        Self { inland, offset: (water.share - 0.5) * size, level: water.level_metres, swing }
+        let drop = spec.terrain.base_height_metres - water.level_metres;
+        Self {
+            inland,
+            offset: (water.share - 0.5) * size,
+            level: water.level_metres,
+            strip: LEAST_STRIP_M.max(STRIP_PER_METRE * drop),
+            swing,
+        }
     }
 
     /// Distance inland and its gradient.

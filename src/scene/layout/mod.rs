@@ -9,6 +9,8 @@ mod plants;
 mod suburb;
 mod traffic;
 
+pub(in crate::scene) use city::STALL_WIDTH_M;
+
 use super::hash::{Draw, key};
 use super::object::{Cover, Epoch, Kind, Object, Part, Patch};
 use super::purpose;

@@ -49,7 +49,8 @@ impl Builder<'_> {
                 }
             })
             .collect();
-        let colour = jitter(draw, pick_shrub(draw), 0.25);
+        let base = pick_shrub(draw);
+        let colour = jitter(draw, base, 0.25);
         let part = crown_part(x, y, puffs, colour, draw);
         self.add(Kind::Shrub, vec![part]);
     }
