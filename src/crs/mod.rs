@@ -3,12 +3,34 @@
 //! Coordinates come from one code path in every build: closed forms for a table of EPSG codes
 //! (checked against PROJ where it is linked), PROJ for every other CRS.
 
+#[cfg(feature = "proj")]
+mod authority;
+mod closed;
+mod conic;
+mod ellipsoid;
 mod geokeys;
+mod helmert;
+mod identify;
+#[cfg(feature = "proj")]
+mod proj;
 mod resolve;
+mod scale;
 mod spec;
+mod table;
+mod transverse_mercator;
+mod vertical;
+mod wkt;
 
+#[cfg(feature = "proj")]
+pub use authority::check_against_proj;
+pub use conic::LambertConic;
+pub use ellipsoid::Ellipsoid;
 pub use geokeys::GeoKeys;
+pub use helmert::{Convention, DatumStep, Helmert};
 pub use resolve::resolve;
+pub use scale::{ScaleFactor, scale_factor};
+pub use table::closed_form_codes;
+pub use transverse_mercator::TransverseMercator;
 
 use crate::grid::{LonLat, Projected};
 use crate::units::LinearUnit;

@@ -6,15 +6,18 @@
 //! * [`PixelMap`]: image pixel -> lattice coordinate, exactly or by a bounded polynomial.
 //! * [`Resampling`] and [`warp`]: GDAL's resampling rules, NaN-aware.
 //! * [`TileIndex`]: footprints in an R-tree.
+//! * [`TileStore`]: the tiles themselves, read through one bounded block cache.
 
 mod index;
 mod lattice;
 mod pixel_map;
 mod resample;
+mod store;
 mod warp;
 
 pub use index::{TileFootprint, TileIndex};
-pub use lattice::{Lattice, LatticeWindow};
+pub use lattice::{Lattice, LatticeWindow, PHASE_BITS};
 pub use pixel_map::{FitErrors, PixelMap, PixelToCrs, TransformForm};
 pub use resample::{EdgeRule, Resampling};
+pub use store::{CacheStatistics, TileStore};
 pub use warp::{WarpError, WarpSettings, WarpStatistics, WindowSource, warp};

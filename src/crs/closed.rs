@@ -1,0 +1,176 @@
+//! A CRS of the table as a function: datum step, projection, unit.
+
+use super::conic::LambertConic;
+use super::ellipsoid::Ellipsoid;
+use super::helmert::DatumStep;
+use super::scale::ground_distance_m;
+use super::table::{Entry, Method, Operation, Step};
+use super::transverse_mercator::TransverseMercator;
+use super::{CrsError, OperationInfo, Projection};
+use crate::grid::{LonLat, Projected};
+use crate::units::LinearUnit;
+use std::fmt::Write;
+
+/// Provider that [`OperationInfo`] names for closed forms.
+pub(crate) const PROVIDER: &str = "closed form";
+
+/// The datum step that a run takes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Chosen {
+    /// The CRS is on WGS 84 itself.
+    Same,
+    /// Datums are taken for equal: PROJ's ballpark, or the step is left out on purpose.
+    Ballpark,
+    /// An operation of the table.
+    Operation(&'static Operation),
+}
+
+#[derive(Clone, Debug, PartialEq)]
+enum Projector {
+    Conic(LambertConic),
+    TransverseMercator(TransverseMercator),
+}
+
+/// Closed-form way from WGS 84 to a projected CRS.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct ClosedForm {
+    /// From the CRS's own datum to WGS 84.
+    step: Option<DatumStep>,
+    projector: Projector,
+    metres_per_unit: f64,
+}
+
+impl ClosedForm {
+    pub(crate) fn new(entry: &Entry, chosen: Chosen) -> Result<Self, CrsError> {
+        let ellipsoid = entry.base.ellipsoid;
+        let projector = match entry.method {
+            Method::Conic1 { lat_0, lon_0, k_0, x_0, y_0 } => Projector::Conic(
+                LambertConic::one_parallel(ellipsoid, (lat_0, lon_0), k_0, (x_0, y_0))?,
+            ),
+            Method::Conic2 { lat_0, lon_0, lat_1, lat_2, x_0, y_0 } => {
+                let (origin, parallels) = ((lat_0, lon_0), (lat_1, lat_2));
+                Projector::Conic(LambertConic::two_parallels(
+                    ellipsoid,
+                    origin,
+                    parallels,
+                    (x_0, y_0),
+                )?)
+            }
+            Method::TransverseMercator { lat_0, lon_0, k_0, x_0, y_0 } => {
+                Projector::TransverseMercator(TransverseMercator::new(
+                    ellipsoid,
+                    (lat_0, lon_0),
+                    k_0,
+                    (x_0, y_0),
+                )?)
+            }
+        };
+        let step = match chosen {
+            Chosen::Operation(Operation { step: Step::Helmert(helmert, _), .. }) => {
+                Some(DatumStep::new(ellipsoid, Ellipsoid::WGS84, *helmert))
+            }
+            _ => None,
+        };
+        Ok(Self { step, projector, metres_per_unit: entry.unit.metres_per_unit() })
+    }
+
+    /// How far the datum step moves a position, metres on the ground.
+    fn shift_m(&self, at: LonLat) -> Result<f64, CrsError> {
+        match &self.step {
+            Some(step) => Ok(ground_distance_m(at, step.inverse(at)?)),
+            None => Ok(0.0),
+        }
+    }
+}
+
+impl Projection for ClosedForm {
+    fn forward(&self, at: LonLat) -> Result<Projected, CrsError> {
+        let at = match &self.step {
+            Some(step) => step.inverse(at)?,
+            None => at,
+        };
+        let metres = match &self.projector {
+            Projector::Conic(conic) => conic.forward(at)?,
+            Projector::TransverseMercator(mercator) => mercator.forward(at)?,
+        };
+        Ok(Projected { x: metres.x / self.metres_per_unit, y: metres.y / self.metres_per_unit })
+    }
+
+    fn inverse(&self, at: Projected) -> Result<LonLat, CrsError> {
+        let metres = Projected { x: at.x * self.metres_per_unit, y: at.y * self.metres_per_unit };
+        let at = match &self.projector {
+            Projector::Conic(conic) => conic.inverse(metres)?,
+            Projector::TransverseMercator(mercator) => mercator.inverse(metres)?,
+        };
+        match &self.step {
+            Some(step) => step.forward(at),
+            None => Ok(at),
+        }
+    }
+}
+
+/// What goes into manifests about a closed form; `around` are the positions at which the datum
+/// shift is measured.
+pub(crate) fn operation_info(
+    entry: &Entry,
+    chosen: Chosen,
+    closed: &ClosedForm,
+    around: &[LonLat],
+) -> Result<OperationInfo, CrsError> {
+    let zone = entry.zone_name;
+    let (name, code, accuracy_m) = match chosen {
+        Chosen::Same => (zone.to_owned(), None, Some(0.0)),
+        Chosen::Ballpark => {
+            let base = entry.base.name;
+            (format!("Ballpark geographic offset from WGS 84 to {base} + {zone}"), None, None)
+        }
+        Chosen::Operation(step) => {
+            (format!("Inverse of {} + {zone}", step.name), Some(step.code), Some(step.accuracy_m))
+        }
+    };
+    let mut datum_shift_m = 0.0_f64;
+    for at in around {
+        datum_shift_m = datum_shift_m.max(closed.shift_m(*at)?);
+    }
+    Ok(OperationInfo {
+        name,
+        code,
+        accuracy_m,
+        grids: Vec::new(),
+        definition: pipeline(entry, chosen),
+        datum_shift_m,
+        provider: PROVIDER.to_owned(),
+    })
+}
+
+/// The closed form as a PROJ pipeline, from longitude and latitude in degrees to the CRS's unit.
+pub(crate) fn pipeline(entry: &Entry, chosen: Chosen) -> String {
+    let ellipsoid = entry.base.ellipsoid.proj_name();
+    let mut text = "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad".to_owned();
+    if let Chosen::Operation(Operation { step: Step::Helmert(_, parameters), .. }) = chosen {
+        text.push_str(
+            " +step +proj=push +v_3 +step +proj=cart +ellps=WGS84 +step +inv +proj=helmert",
+        );
+        push_parameters(&mut text, parameters);
+        // Writing to a string cannot fail.
+        let _ = write!(text, " +step +inv +proj=cart +ellps={ellipsoid} +step +proj=pop +v_3");
+    }
+    let (name, parameters) = entry.projection.split_once(' ').unwrap_or((entry.projection, ""));
+    let _ = write!(text, " +step +proj={name}");
+    push_parameters(&mut text, parameters);
+    let _ = write!(text, " +ellps={ellipsoid}");
+    let unit = match entry.unit {
+        LinearUnit::Metre => return text,
+        LinearUnit::Foot => "ft",
+        LinearUnit::UsSurveyFoot => "us-ft",
+    };
+    let _ = write!(text, " +step +proj=unitconvert +xy_in=m +xy_out={unit}");
+    text
+}
+
+fn push_parameters(text: &mut String, parameters: &str) {
+    for parameter in parameters.split(' ').filter(|p| !p.is_empty()) {
+        text.push_str(" +");
+        text.push_str(parameter);
+    }
+}
