@@ -232,8 +232,8 @@ fn the_pure_build_refuses_by_name_and_says_what_to_do() {
     let said = error(&belgium, None);
     assert!(said.contains("EPSG:31370") && said.contains("PROJ") && said.contains("--crs"));
     let nad83 = CrsSpec::from_user_input("EPSG:2285").expect("a code");
-    let said = error(&nad83, Some("15931"));
-    assert!(said.contains("1188") && said.contains("15931"), "{said}");
+    let said = error(&nad83, Some("1737"));
+    assert!(said.contains("1188") && said.contains("1737"), "{said}");
     let said = error(&nad83, Some("+proj=pipeline +step +proj=noop"));
     assert!(said.contains("feature `proj`"), "{said}");
     assert!(CrsSpec::from_user_input("+proj=utm +zone=10").is_err());

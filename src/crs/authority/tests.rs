@@ -116,6 +116,31 @@ fn definitions_in_every_dialect_lead_to_their_code() {
 }
 
 #[test]
+fn the_check_names_the_metres() {
+    let around_seattle: Vec<_> = (0..25)
+        .map(|i| LonLat {
+            lon_deg: -122.45 + 0.05 * f64::from(i % 5),
+            lat_deg: 47.48 + 0.06 * f64::from(i / 5),
+        })
+        .collect();
+    let report = check_against_proj(&closed(2927), &around_seattle).expect("PROJ serves it");
+    assert_eq!(report.points, 25);
+    assert!(report.same_operation_m < 1e-8, "{report:?}");
+    assert!(report.warnings(&closed(2927)).is_empty(), "{report:?}");
+    let operation = Some("null".to_owned());
+    let options = ResolveOptions { operation, ..ResolveOptions::default() };
+    let null = resolve(&CrsSpec::from_epsg(2927), &options).expect("no step");
+    let report = check_against_proj(&null, &around_seattle).expect("PROJ serves it");
+    assert!(report.same_operation_m < 1e-8, "{report:?}");
+    assert!((report.default_operation_m - 1.28).abs() < 0.01, "{report:?}");
+    let warnings = report.warnings(&null);
+    assert!(matches!(&warnings[..], [one] if one.contains("1.28")), "{warnings:?}");
+    // Nothing to compare is no agreement, but no failure either.
+    let nothing = check_against_proj(&null, &[]).expect("PROJ serves it");
+    assert_eq!(nothing.points, 0);
+}
+
+#[test]
 fn crs_outside_the_table_is_served_by_proj() {
     let spec = CrsSpec::from_user_input("EPSG:31370").expect("a code");
     let resolved = resolve(&spec, &ResolveOptions::default()).expect("PROJ serves it");
@@ -184,9 +209,10 @@ fn operations_can_be_pinned_through_proj() {
     assert!(harn("+proj=nonsense").contains("nonsense"), "{}", harn("+proj=nonsense"));
     assert!(harn("best").contains("give an EPSG code"), "{}", harn("best"));
     let nad83 = CrsSpec::from_epsg(2285);
-    let operation = Some("EPSG:15931".to_owned());
+    let operation = Some("EPSG:1737".to_owned());
     let other = resolve(&nad83, &ResolveOptions { operation, ..ResolveOptions::default() });
-    assert!(other.is_err());
+    let refused = other.expect_err("its grid is missing").to_string();
+    assert!(refused.contains("us_noaa_WO.tif"), "{refused}");
 }
 
 #[test]
