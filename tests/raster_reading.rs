@@ -1,10 +1,14 @@
 //! The two readers against each other and against what was written, bit for bit.
 #![cfg(feature = "gdal")]
+#![allow(clippy::unwrap_used, reason = "a test may fail")]
+
+mod raster_support;
 
 use gdal::config::{clear_thread_local_config_option, set_thread_local_config_option};
 use gdal::raster::{Buffer, ColorInterpretation, GdalType, RasterCreationOptions};
 use gdal::spatial_ref::SpatialRef;
 use gdal::{Dataset, DriverManager, Metadata};
+use raster_support::{bits, height, read_all};
 use sat3d::raster::{
     GdalReader, NodataRule, OpenOptions, RasterHeader, RasterReader, TiffReader, UndeclaredNodata,
 };
@@ -13,33 +17,6 @@ use std::path::{Path, PathBuf};
 
 const WIDTH: usize = 150;
 const HEIGHT: usize = 110;
-
-/// Every sample of a raster, through its reader's blocks.
-fn read_all(reader: &mut dyn RasterReader) -> Vec<f32> {
-    let header = reader.header().clone();
-    let (width, height) = (header.width as usize, header.height as usize);
-    let (block_width, block_height) = (header.block_width as usize, header.block_height as usize);
-    let mut all = vec![0.0; width * height];
-    let mut block = Vec::new();
-    for by in 0..height.div_ceil(block_height) {
-        for bx in 0..width.div_ceil(block_width) {
-            reader.read_block(bx as u32, by as u32, &mut block).unwrap();
-            let rows = block_height.min(height - by * block_height);
-            assert_eq!(block.len(), rows * block_width);
-            for (row, samples) in block.chunks_exact(block_width).enumerate() {
-                let columns = block_width.min(width - bx * block_width);
-                assert!(samples[columns..].iter().all(|v| v.is_nan()), "beyond the right edge");
-                let start = (by * block_height + row) * width + bx * block_width;
-                all[start..start + columns].copy_from_slice(&samples[..columns]);
-            }
-        }
-    }
-    all
-}
-
-fn bits(samples: &[f32]) -> Vec<u32> {
-    samples.iter().map(|v| v.to_bits()).collect()
-}
 
 /// Opens a file in both ways, compares everything, and returns header and samples.
 fn both_with(path: &Path, options: &OpenOptions) -> (RasterHeader, Vec<f32>, UndeclaredNodata) {
@@ -65,7 +42,7 @@ fn both_with(path: &Path, options: &OpenOptions) -> (RasterHeader, Vec<f32>, Und
     (a.vertical_unit, b.vertical_unit) = (None, None);
     (a.nodata, b.nodata) = (None, None);
     assert_eq!(a, b);
-    let (x, y) = (read_all(&mut gdal), read_all(&mut tiff));
+    let (x, y) = (read_all(&mut gdal).unwrap(), read_all(&mut tiff).unwrap());
     assert!(bits(&x) == bits(&y), "{}: the samples differ", path.display());
     assert_eq!(gdal.undeclared_nodata(), tiff.undeclared_nodata());
     let mut header = header;
@@ -140,11 +117,6 @@ impl<T: GdalType + Copy> Writer<T> {
     }
 }
 
-fn height(x: usize, y: usize) -> f64 {
-    let (x, y) = (x as f64, y as f64);
-    100.0 + 20.0 * libm::sin(x / 9.0) * libm::cos(y / 13.0) + x * 0.01
-}
-
 /// One type with its values, in every way in which a TIFF file stores them.
 fn matrix<T: GdalType + Copy + 'static>(
     name: &str,
@@ -165,6 +137,10 @@ fn matrix<T: GdalType + Copy + 'static>(
                 &["TILED=YES", "BLOCKXSIZE=64", "BLOCKYSIZE=48"],
                 &["TILED=YES", "BLOCKXSIZE=256", "BLOCKYSIZE=256"],
             ] {
+                // Tiles larger than the raster need no more than one compression.
+                if layout.contains(&"BLOCKXSIZE=256") && compression != "DEFLATE" {
+                    continue;
+                }
                 for (endianness, big, bands, interleave) in [
                     ("LITTLE", "NO", 1, "PIXEL"),
                     ("BIG", "YES", 1, "PIXEL"),
@@ -410,7 +386,7 @@ fn a_mask_in_a_side_file_is_read_or_refused() {
     assert!(folder.path().join("side.tif.msk").exists());
 
     let mut reader = GdalReader::open(&path, &OpenOptions::default()).unwrap();
-    let valid = read_all(&mut reader).iter().filter(|v| v.is_finite()).count();
+    let valid = read_all(&mut reader).unwrap().iter().filter(|v| v.is_finite()).count();
     assert_eq!(valid, WIDTH);
     let message = TiffReader::open(&path, &OpenOptions::default()).unwrap_err().to_string();
     assert!(message.contains("side.tif.msk"), "{message}");
@@ -526,11 +502,13 @@ fn a_vrt_reads_as_the_raster_that_it_stands_for_and_fetches_nothing() {
     let copy = Dataset::open(&path).unwrap();
     copy.create_copy(&driver, &vrt, &RasterCreationOptions::default()).unwrap().close().unwrap();
     let mut reader = GdalReader::open(&vrt, &OpenOptions::default()).unwrap();
-    assert!(bits(&read_all(&mut reader)) == bits(&writer.data));
+    assert!(bits(&read_all(&mut reader).unwrap()) == bits(&writer.data));
     let message = TiffReader::open(&vrt, &OpenOptions::default()).unwrap_err().to_string();
     assert!(message.contains("VRT"), "{message}");
 
-    // A source on the network, here a port of this machine on which nobody may call.
+    // A source on the network, here a port of this machine on which nobody may call; were it called,
+    // nobody would answer.
+    set_thread_local_config_option("GDAL_HTTP_TIMEOUT", "2").unwrap();
     let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     listener.set_nonblocking(true).unwrap();
     let address = listener.local_addr().unwrap();

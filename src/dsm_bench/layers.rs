@@ -49,7 +49,9 @@ impl Layer {
             };
             match joined {
                 Some(layer) => layer.tiles.push(number),
-                None => layers.push(Self { crs: tile.crs, lattice: tile.lattice, tiles: vec![number] }),
+                None => {
+                    layers.push(Self { crs: tile.crs, lattice: tile.lattice, tiles: vec![number] })
+                }
             }
         }
         layers

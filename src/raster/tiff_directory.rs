@@ -469,6 +469,7 @@ fn explain(error: &TiffError) -> String {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test may fail")]
 mod tests {
     use super::*;
 

@@ -319,12 +319,14 @@ fn refuse_side_files(path: &Path, nodata: Option<f64>) -> Result<(), RasterError
         // GDAL repeats there a value that lost digits in the raster's own tag.
         let same = |value: &str| {
             let value = parse_nodata(value).unwrap_or(f64::NAN);
-            nodata.is_some_and(|own| own == value || own as f32 == value as f32)
+            nodata.is_some_and(|own| own as f32 == value as f32 || (own.is_nan() && value.is_nan()))
         };
-        let mut values = text.split("<NoDataValue").skip(1);
-        if let Some(other) =
-            values.filter_map(|rest| rest.split(['>', '<']).nth(1)).find(|value| !same(value))
-        {
+        let other = text
+            .split("<NoDataValue")
+            .skip(1)
+            .filter_map(|rest| rest.split(['>', '<']).nth(1))
+            .find(|value| !same(value));
+        if let Some(other) = other {
             return refuse(&auxiliary, &format!("sets the no-data value {other}"));
         }
     }

@@ -62,9 +62,9 @@ pub fn ground_pixel_size(lat_deg: f64, zoom: u8) -> [f64; 2] {
 /// [`CrsError`] if a UTM zone cannot be served.
 pub fn measure(dataset: &Dataset, resolution_m: Option<f64>) -> Result<Vec<Measured>, CrsError> {
     let resolutions: Vec<Option<f64>> = (0..dataset.cities.len())
-        .map(|city| resolution_m.or_else(|| dataset.resolution_m(city as u16)))
+        .map(|city| resolution_m.or_else(|| dataset.resolution_m(city as u32)))
         .collect();
-    let wanted = |city: u16| resolutions[city as usize].is_some();
+    let wanted = |city: u32| resolutions[city as usize].is_some();
     let panoramas: Vec<LonLat> = dataset.panoramas.iter().map(|p| p.position).collect();
     let satellites: Vec<LonLat> = dataset.satellites.iter().map(|s| s.grid.center()).collect();
     let zones = UtmZones::resolve(

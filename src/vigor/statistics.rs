@@ -1,6 +1,7 @@
 //! Statistics of labels: residuals, reproduction by the formula, neighbours, overlap.
 
-use super::dataset::{Dataset, LabelKind, Pair, Split};
+use super::dataset::{Dataset, Pair};
+use super::kinds::{LabelKind, Split};
 use super::measure::{Measured, Residual, fitted_resolution, ground_pixel_size};
 use super::overlap::{Cover, MAX_DEPTH, Rectangle};
 use crate::grid::{ImageGrid, LonLat, PixelPoint};
@@ -177,7 +178,7 @@ pub struct OverlapStatistics {
 pub fn of_labels(
     dataset: &Dataset,
     measured: &[Measured],
-    city: u16,
+    city: u32,
     resolution_m: Option<f64>,
 ) -> Vec<LabelStatistics> {
     let plane = Plane::new(dataset);
@@ -376,7 +377,7 @@ fn footprint(grid: &ImageGrid) -> Rectangle {
 
 /// How a city's images overlap; `None` if it has none.
 #[must_use]
-pub fn of_overlap(dataset: &Dataset, city: u16) -> Option<OverlapStatistics> {
+pub fn of_overlap(dataset: &Dataset, city: u32) -> Option<OverlapStatistics> {
     let grids: Vec<&ImageGrid> =
         dataset.satellites.iter().filter(|s| s.city == city).map(|s| &s.grid).collect();
     let cover = Cover::of(&grids.iter().map(|grid| footprint(grid)).collect::<Vec<_>>());

@@ -67,17 +67,17 @@ pub(super) fn plan_block(counts: &Counts, raw_len: usize) -> BlockPlan {
     let header = Header::new(&litlen, &distance);
     let extra = extra_bits(counts);
     let dynamic = 3 + header.bits + body_bits(counts, &litlen, &distance) + extra;
-    let (fixed_litlen, fixed_distance) = fixed_lengths();
-    let fixed = 3 + body_bits(counts, &fixed_litlen, &fixed_distance) + extra;
+    let fixed = 3 + body_bits(counts, &FIXED_LITLEN, &FIXED_DISTANCE) + extra;
     // A stored block holds at most 65535 bytes, each with 4 bytes of length after padding.
     let stored = (raw_len as u64 + 5 * (raw_len as u64).div_ceil(65_535).max(1)) * 8 + 7;
     if stored <= dynamic.min(fixed) {
         return BlockPlan::Stored;
     }
     if fixed <= dynamic {
+        let all = canonical(&FIXED_LITLEN);
         let codes = Box::new(Codes {
-            litlen: canonical(&fixed_litlen),
-            distance: canonical(&fixed_distance),
+            litlen: std::array::from_fn(|symbol| all[symbol]),
+            distance: canonical(&FIXED_DISTANCE),
         });
         return BlockPlan::Fixed { codes, bits: fixed };
     }
@@ -148,12 +148,18 @@ pub(super) const fn distance_base(symbol: u32) -> u32 {
     if symbol < 4 { symbol + 1 } else { ((2 + (symbol & 1)) << (symbol / 2 - 1)) + 1 }
 }
 
-fn fixed_lengths() -> ([u8; LITLEN_SYMBOLS], [u8; DISTANCE_SYMBOLS]) {
-    let mut litlen = [8_u8; LITLEN_SYMBOLS];
-    litlen[144..256].fill(9);
-    litlen[256..280].fill(7);
-    (litlen, [5; DISTANCE_SYMBOLS])
-}
+/// Lengths of the fixed code (RFC 1951, 3.2.6). It has 288 symbols: the two that never occur decide
+/// the words of the others.
+const FIXED_LITLEN: [u8; 288] = {
+    let mut lengths = [8; 288];
+    let mut symbol = 144;
+    while symbol < 280 {
+        lengths[symbol] = if symbol < 256 { 9 } else { 7 };
+        symbol += 1;
+    }
+    lengths
+};
+const FIXED_DISTANCE: [u8; DISTANCE_SYMBOLS] = [5; DISTANCE_SYMBOLS];
 
 /// Code lengths for `counts`: Huffman's, shortened to `limit` bits where they are longer. Symbols
 /// that never occur get 0; at least two symbols get a code, because some decoders refuse less.
@@ -451,6 +457,23 @@ mod tests {
                 back.extend(std::iter::repeat_n(what, usize::from(times)));
             }
             prop_assert_eq!(back, lengths);
+        }
+    }
+
+    #[test]
+    fn the_fixed_code_is_that_of_rfc_1951() {
+        let codes = canonical(&FIXED_LITLEN);
+        for (symbol, word, len) in [
+            (0, 0b0011_0000, 8),
+            (143, 0b1011_1111, 8),
+            (144, 0b1_1001_0000, 9),
+            (255, 0b1_1111_1111, 9),
+            (256, 0, 7),
+            (279, 0b001_0111, 7),
+            (280, 0b1100_0000, 8),
+        ] {
+            let reversed = u16::reverse_bits(word) >> (16 - len);
+            assert_eq!(codes[symbol], Code { bits: reversed, len }, "{symbol}");
         }
     }
 

@@ -214,3 +214,6 @@ fn write_stored(out: &mut BitWriter, raw: &[u8], last: bool) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

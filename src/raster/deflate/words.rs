@@ -206,8 +206,8 @@ impl Finder {
             .zip(&samples[at + 1 - distance..])
             .take_while(|(a, b)| a == b)
             .count();
-        // Positions deep inside a long run are reached through its end just as well.
-        for i in at + 1 + later.saturating_sub(64)..=at + later {
+        // The run repeats every `distance` samples: its last ones stand for all of it.
+        for i in at + 1 + later.saturating_sub(distance)..=at + later {
             self.last[hash(samples[i] >> 8)] = i as u16;
         }
         Run { distance: distance as u16, samples: 1 + later as u32, literal_first }

@@ -163,7 +163,9 @@ pub(super) fn gdal_metadata(unit: Option<&str>, items: &[(String, String)]) -> O
         );
     }
     for (name, value) in items {
-        xml += &format!("  <Item name=\"{}\">{}</Item>\n", escape(name), escape(value));
+        // GDAL unescapes values twice: once as XML, once because it escapes them itself.
+        let value = escape(&escape(value));
+        xml += &format!("  <Item name=\"{}\">{value}</Item>\n", escape(name));
     }
     xml += "</GDALMetadata>\n";
     Some(Value::Ascii(xml))

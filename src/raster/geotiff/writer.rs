@@ -217,7 +217,7 @@ impl GeoTiffWriter {
 
     fn take_rows(&mut self, mut samples: &[f32]) -> Result<(), GeoTiffError> {
         let width = self.cut.width as usize;
-        if samples.len() % width != 0 {
+        if !samples.len().is_multiple_of(width) {
             return Err(GeoTiffError::PartialRow {
                 path: self.path.clone(),
                 samples: samples.len(),

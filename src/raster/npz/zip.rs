@@ -32,7 +32,7 @@ impl Writer {
     }
 
     #[cfg(test)]
-    pub(super) const fn with_zip64_from(zip64_from: u64) -> Self {
+    pub(super) fn with_zip64_from(zip64_from: u64) -> Self {
         Self { zip64_from, ..Self::new() }
     }
 
