@@ -4,6 +4,7 @@ mod completions;
 mod console;
 mod dsm_bench;
 mod run;
+mod simulate;
 mod vigor;
 
 use clap::{Parser, Subcommand};
@@ -30,6 +31,7 @@ pub(crate) struct Cli {
 pub(crate) enum Command {
     DsmBench(dsm_bench::Args),
     Run(run::Args),
+    Simulate(simulate::Args),
     Completions(completions::Args),
     Vigor(vigor::Args),
 }
@@ -43,6 +45,7 @@ pub(crate) fn dispatch(command: &Command) -> anyhow::Result<ExitCode> {
     match command {
         Command::DsmBench(args) => dsm_bench::run(args),
         Command::Run(args) => run::run(args),
+        Command::Simulate(args) => simulate::run(args),
         Command::Completions(args) => completions::run(args),
         Command::Vigor(args) => vigor::run(args),
     }

@@ -2,6 +2,7 @@
 
 use crate::crs::CrsError;
 use crate::grid::GridError;
+use crate::raster::geotiff::GeoTiffError;
 use std::path::PathBuf;
 
 /// Why a scene cannot be read or made; each variant names the file or the key and the value.
@@ -55,7 +56,10 @@ pub enum SceneError {
     /// An image grid cannot exist.
     #[error(transparent)]
     Grid(#[from] GridError),
-    /// A raster cannot be written.
+    /// A lidar tile cannot be written.
+    #[error(transparent)]
+    GeoTiff(#[from] GeoTiffError),
+    /// A picture cannot be encoded.
     #[error("{}: {reason}", path.display())]
     Write {
         /// The file.

@@ -15,27 +15,6 @@ pub const LIDAR_CRS: u32 = 2927;
 /// Square of the eccentricity of the WGS 84 ellipsoid.
 const WGS84_E2: f64 = 0.006_694_379_990_141_316;
 
-#[derive(Debug)]
-struct Temp(LonLat);
-impl Projection for Temp {
-    fn forward(&self, at: LonLat) -> Result<Projected, crate::crs::CrsError> {
-        let (x, y) = ((at.lon_deg - self.0.lon_deg) * 75_000.0, (at.lat_deg - self.0.lat_deg) * 111_170.0);
-        let c = 0.0231;
-        Ok(Projected { x: 1_190_000.0 + (x + c * y) * 3.28083333333, y: 830_000.0 + (y - c * x) * 3.28083333333 })
-    }
-    fn inverse(&self, at: Projected) -> Result<LonLat, crate::crs::CrsError> {
-        let c = 0.0231;
-        let (u, v) = ((at.x - 1_190_000.0) / 3.28083333333, (at.y - 830_000.0) / 3.28083333333);
-        let d = 1.0 + c * c;
-        let (x, y) = ((u - c * v) / d, (v + c * u) / d);
-        Ok(LonLat { lon_deg: self.0.lon_deg + x / 75_000.0, lat_deg: self.0.lat_deg + y / 111_170.0 })
-    }
-}
-#[allow(non_snake_case)]
-fn TEMP(place: LonLat) -> Result<ResolvedCrs, crate::crs::CrsError> {
-    Ok(ResolvedCrs { spec: CrsSpec::from_epsg(2927), metres_per_unit: 0.3, operation: crate::crs::OperationInfo { name: String::new(), code: None, accuracy_m: None, grids: vec![], definition: String::new(), datum_shift_m: 1.28, provider: String::new() }, projection: Arc::new(Temp(place)), warnings: vec![] })
-}
-
 /// The local frame of a scene.
 #[derive(Clone, Debug)]
 pub struct Frame {
@@ -59,7 +38,7 @@ impl Frame {
             area: Some(area),
             ..ResolveOptions::default()
         };
-        let ResolvedCrs { projection, operation, .. } = resolve(&spec, &options).or_else(|_| TEMP(place))?;
+        let ResolvedCrs { projection, operation, .. } = resolve(&spec, &options)?;
         let at = projection.forward(place)?;
         let snap = |v: f64| (v / pixel_feet).round() * pixel_feet;
         // A hundred metres of meridian in the grid: its direction is true north, its length the scale.

@@ -378,8 +378,6 @@ pub enum TileCompression {
     /// Deflate with the floating-point predictor.
     #[default]
     Deflate,
-    /// LZW.
-    Lzw,
 }
 
 /// How a tile's samples are stored.
@@ -415,6 +413,8 @@ pub struct TileSpec {
     pub block_pixels: u32,
     /// Number of the first tile: `king_county_west_2021_dsm_87.tif`.
     pub first_number: u32,
+    /// Whether the files say that their heights are US survey feet; real deliveries may not.
+    pub state_vertical_unit: bool,
 }
 
 impl Default for TileSpec {
@@ -429,6 +429,7 @@ impl Default for TileSpec {
             storage: TileStorage::Blocks,
             block_pixels: 128,
             first_number: 87,
+            state_vertical_unit: true,
         }
     }
 }
