@@ -416,8 +416,8 @@ fn summarise(records: &[Record], images: usize) -> RunSummary {
 /// A reason without what differs from image to image, so that equal causes are counted together.
 fn generic(reason: &str) -> String {
     let head = reason.split("; --coverage").next().unwrap_or(reason);
-    if let Some(at) = head.find("% of the pixels") {
-        return format!("too many pixels without data (more than the limit), {}", &head[at..]);
+    if let Some((_, limit)) = head.split_once("no data, more than ") {
+        return format!("more than {limit} of the pixels have no data");
     }
     let mut text = String::new();
     for word in head.split_inclusive(' ') {
@@ -470,7 +470,10 @@ mod tests {
         let record = |pct| Record::without_output("x", Status::Skipped, reason(pct));
         let summary = summarise(&[record(7.0), record(9.5)], 3);
         assert_eq!(summary.reasons.len(), 1);
-        assert_eq!(summary.reasons[0].1, 2);
+        assert_eq!(
+            summary.reasons[0],
+            ("skipped: more than 5 % of the pixels have no data".into(), 2)
+        );
         assert_eq!((summary.skipped, summary.not_started, summary.rescued_by_mosaic), (2, 1, 2));
     }
 }

@@ -287,12 +287,7 @@ fn units_step(highest_m: f64) -> Step {
     }
 }
 
-fn cases(
-    spec: &SceneSpec,
-    frame: &Frame,
-    terrain: &Terrain,
-    heights: &HeightBounds,
-) -> Vec<Case> {
+fn cases(spec: &SceneSpec, frame: &Frame, terrain: &Terrain, heights: &HeightBounds) -> Vec<Case> {
     let mut cases = geometry_cases(spec, frame, terrain, heights);
     cases.extend(epoch_cases(spec, heights));
     cases.extend(lidar_cases(spec, heights));
@@ -321,11 +316,15 @@ fn geometry_cases(
     let (tan_sun, shadow) = spec.sun.map_or((f64::INFINITY, 0.0), |sun| {
         let (sin, cos) = libm::sincos(sun.elevation_degrees.to_radians());
         // A sun at the zenith has no shadow, however small the cosine of 90 degrees comes out.
-        if sun.elevation_degrees >= 90.0 { (f64::INFINITY, 0.0) } else { (sin / cos, fall * cos / sin) }
+        if sun.elevation_degrees >= 90.0 {
+            (f64::INFINITY, 0.0)
+        } else {
+            (sin / cos, fall * cos / sin)
+        }
     });
-    let lean = spec.view.map_or(0.0, |v| {
-        heights.above_ground * libm::tan(v.off_nadir_degrees.to_radians())
-    });
+    let lean = spec
+        .view
+        .map_or(0.0, |v| heights.above_ground * libm::tan(v.off_nadir_degrees.to_radians()));
     let longest = shadow.max(lean);
     let drop = shadow * shadow / (2.0 * WGS84_A);
     let sky = match (&spec.sun, &spec.view) {
@@ -395,7 +394,9 @@ fn geometry_cases(
         Case {
             effect: Effect::Curvature,
             present: shadow > 0.0,
-            cause: format!("{sky}; a ray of {shadow:.1} m rises {drop:.1e} m over the level surface"),
+            cause: format!(
+                "{sky}; a ray of {shadow:.1} m rises {drop:.1e} m over the level surface"
+            ),
             form: "parabola, per cell of the index",
             bound: Bound { horizontal_m: drop / tan_sun, vertical_m: drop },
             remains: Bound::vertical(3e-6),
@@ -423,11 +424,8 @@ fn epoch_cases(spec: &SceneSpec, heights: &HeightBounds) -> Vec<Case> {
         Case {
             effect: Effect::Season,
             present: spec.seasons_differ(),
-            cause: format!(
-                "lidar in {:?}, images in {:?}",
-                spec.lidar.season, spec.images.season
-            )
-            .to_lowercase(),
+            cause: format!("lidar in {:?}, images in {:?}", spec.lidar.season, spec.images.season)
+                .to_lowercase(),
             form: "bare crowns let pulses and light through",
             bound: Bound::vertical(spec.trees.height_metres),
             remains: Bound::EXACT,

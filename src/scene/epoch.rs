@@ -9,7 +9,7 @@ use super::hash::{key, unit};
 use super::object::{Epoch, Kind, Object};
 use super::purpose;
 use super::solid::{Crown, Shape};
-use super::spec::{Season, SceneSpec};
+use super::spec::{SceneSpec, Season};
 
 /// Share of a bare crown that lets pulses and light pass.
 const BARE_POROSITY: f32 = 0.62;

@@ -1,8 +1,8 @@
 //! How the ground looks: streets with their markings, painted patches, lawns, beach and water.
 //! Pictures only; no height depends on it.
 
-use super::layout::{Layout, SHORE_STRIP_M, Use};
 use super::index::CellGrid;
+use super::layout::{Layout, SHORE_STRIP_M, Use};
 use super::noise::{cell, fractal, value};
 use super::object::{Colour, Cover, Patch, rgb};
 use super::shape::Bounds;
@@ -97,7 +97,10 @@ impl GroundPaint {
         let body = mix(shallow, deep, depth);
         let colour = scale(body, 0.82 + 0.22 * swell + 0.18 * (ripple - 0.5));
         let foam = out < 0.35 + 0.5 * f64::from(ripple);
-        Paint { colour: if foam { mix(colour, rgb(206, 206, 198), 0.55) } else { colour }, key: u32::from(foam) }
+        Paint {
+            colour: if foam { mix(colour, rgb(206, 206, 198), 0.55) } else { colour },
+            key: u32::from(foam),
+        }
     }
 
     fn beach(&self, x: f64, y: f64, inland: f64) -> Paint {
@@ -106,7 +109,10 @@ impl GroundPaint {
         if (5.4..7.6).contains(&inland) {
             let joint = (inland * 0.9).fract() < 0.04;
             let tone = if joint { 0.8 } else { 0.95 + 0.1 * patchy };
-            return Paint { colour: scale(rgb(176, 170, 160), tone + 0.06 * (grain - 0.5)), key: 3 };
+            return Paint {
+                colour: scale(rgb(176, 170, 160), tone + 0.06 * (grain - 0.5)),
+                key: 3,
+            };
         }
         let weed = patchy > 0.62 && inland > 2.5;
         let wet = (1.0 - inland as f32 / 2.0).clamp(0.0, 1.0);
@@ -136,7 +142,8 @@ impl GroundPaint {
         };
         let street = &place.nearest[family];
         let (across, along) = (place.across(family), place.along(family));
-        let street_seed = self.seed ^ (street.number as u32).wrapping_mul(2_654_435_761) ^ family as u32;
+        let street_seed =
+            self.seed ^ (street.number as u32).wrapping_mul(2_654_435_761) ^ family as u32;
         let surface = cell(street.number as i32, family as i32, self.seed ^ 8);
         let tone = if street.arterial || surface < 0.62 {
             mix(rgb(84, 84, 88), rgb(122, 121, 120), cell(1, street.number as i32, street_seed))
@@ -156,7 +163,8 @@ impl GroundPaint {
             colour = scale(colour, 0.84);
         }
         let hole = [along / 19.0, across / 3.0].map(|v| v - v.floor() - 0.5);
-        if cell((along / 19.0).floor() as i32, (across / 3.0).floor() as i32, street_seed ^ 10) < 0.3
+        if cell((along / 19.0).floor() as i32, (across / 3.0).floor() as i32, street_seed ^ 10)
+            < 0.3
             && libm::hypot(hole[0] * 19.0, hole[1] * 3.0) < 0.36
         {
             return Paint { colour: scale(rgb(70, 68, 66), 1.0), key: 12 };
@@ -183,7 +191,8 @@ impl GroundPaint {
         let signed = along - other.at;
         let from_crossing = signed.abs() - other.half_width;
         let d = across.abs();
-        let crossing_seed = cell(place.nearest[0].number as i32, place.nearest[1].number as i32, self.seed ^ 12);
+        let crossing_seed =
+            cell(place.nearest[0].number as i32, place.nearest[1].number as i32, self.seed ^ 12);
         let important = street.arterial || other.arterial;
         if important || crossing_seed < 0.4 {
             if (1.0..3.9).contains(&from_crossing) && d < street.half_width - 0.35 {
@@ -192,7 +201,11 @@ impl GroundPaint {
             // Traffic keeps right; who comes towards the crossing stops.
             let right = if family == 0 { across } else { -across };
             let coming = right * -signed > 0.0;
-            if coming && (4.8..5.25).contains(&from_crossing) && d > 0.2 && d < street.half_width - 0.4 {
+            if coming
+                && (4.8..5.25).contains(&from_crossing)
+                && d > 0.2
+                && d < street.half_width - 0.4
+            {
                 return Some(WHITE_LINE);
             }
         }
@@ -232,8 +245,10 @@ impl GroundPaint {
             }
             return Paint { colour: scale(concrete, 0.93), key: 22 };
         }
-        let family = usize::from(place.across(1).abs() - place.nearest[1].half_width
-            < place.across(0).abs() - place.nearest[0].half_width);
+        let family = usize::from(
+            place.across(1).abs() - place.nearest[1].half_width
+                < place.across(0).abs() - place.nearest[0].half_width,
+        );
         let joint = (place.along(family) / 1.5).rem_euclid(1.0) < 0.035;
         if used == Use::Forest && place.kerb > 3.6 {
             return Paint { key: 23, ..self.cover(Cover::Litter, x, y, None) };
@@ -251,7 +266,8 @@ impl GroundPaint {
             Season::Autumn => (rgb(98, 108, 56), rgb(138, 122, 80), -0.05),
             Season::Winter => (rgb(92, 98, 60), rgb(124, 116, 84), 0.0),
         };
-        let share = (2.6 * (broad - 0.5) + 0.5 + 1.2 * (tuft - 0.5) + bias + dryness).clamp(0.0, 1.0);
+        let share =
+            (2.6 * (broad - 0.5) + 0.5 + 1.2 * (tuft - 0.5) + bias + dryness).clamp(0.0, 1.0);
         scale(mix(green, dry, share), 0.82 + 0.2 * tuft + 0.17 * blade)
     }
 
@@ -261,7 +277,10 @@ impl GroundPaint {
         let edge = (x / size - i).min(y / size - j) < 0.05 / size;
         let grain = value(x * 9.0, y * 9.0, self.seed ^ 20);
         let broad = fractal(x / 5.0, y / 5.0, self.seed ^ 21, 3);
-        scale(base, (0.86 + 0.1 * tone + 0.14 * broad + 0.06 * grain) * if edge { 0.78 } else { 1.0 })
+        scale(
+            base,
+            (0.86 + 0.1 * tone + 0.14 * broad + 0.06 * grain) * if edge { 0.78 } else { 1.0 },
+        )
     }
 
     fn cover(&self, cover: Cover, x: f64, y: f64, patch: Option<(&Patch, f64, f64)>) -> Paint {
@@ -300,12 +319,18 @@ impl GroundPaint {
                 let base = mix(rgb(98, 72, 54), rgb(74, 64, 46), broad);
                 Paint { colour: scale(base, 0.7 + 0.55 * grain), key: 38 }
             }
-            Cover::Sand => Paint { colour: scale(rgb(206, 188, 150), 0.85 + 0.25 * grain), key: 39 },
+            Cover::Sand => {
+                Paint { colour: scale(rgb(206, 188, 150), 0.85 + 0.25 * grain), key: 39 }
+            }
             Cover::Pool => {
                 let glint = (value(x * 2.6, y * 2.6, self.seed ^ 25) - 0.5).abs() < 0.07;
-                let rim = rect.is_some_and(|r| r.half_u - u.abs() < 0.25 || r.half_v - v.abs() < 0.25);
+                let rim =
+                    rect.is_some_and(|r| r.half_u - u.abs() < 0.25 || r.half_v - v.abs() < 0.25);
                 let water = if glint { rgb(140, 214, 224) } else { rgb(74, 172, 196) };
-                Paint { colour: if rim { rgb(214, 210, 202) } else { water }, key: 41 + u32::from(rim) }
+                Paint {
+                    colour: if rim { rgb(214, 210, 202) } else { water },
+                    key: 41 + u32::from(rim),
+                }
             }
             Cover::Stalls => {
                 let half = rect.map_or(0.0, |r| r.half_u);
@@ -332,8 +357,8 @@ impl GroundPaint {
                 let base = scale(self.lawn(x, y, -0.45), mown);
                 let border = (u.abs() - hu + 2.0).abs() < 0.07 && v.abs() < hv - 1.9
                     || (v.abs() - hv + 2.0).abs() < 0.07 && u.abs() < hu - 1.9;
-                let middle = u.abs() < 0.07 && v.abs() < hv - 2.0
-                    || (libm::hypot(u, v) - 6.0).abs() < 0.08;
+                let middle =
+                    u.abs() < 0.07 && v.abs() < hv - 2.0 || (libm::hypot(u, v) - 6.0).abs() < 0.08;
                 line(50, base, border || middle)
             }
         }

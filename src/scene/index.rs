@@ -197,6 +197,9 @@ mod tests {
             }
         }
         assert!(grid.over(-51.0, 0.0).is_empty());
-        assert_eq!(grid.along([0.0, 0.0], [1.0, 0.0], 9.0, |_, _, _| ControlFlow::Break(7)), Some(7));
+        assert_eq!(
+            grid.along([0.0, 0.0], [1.0, 0.0], 9.0, |_, _, _| ControlFlow::Break(7)),
+            Some(7)
+        );
     }
 }

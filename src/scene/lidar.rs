@@ -112,12 +112,7 @@ impl Tile {
     /// Name of its file.
     #[must_use]
     pub fn file_name(&self, scene: &Scene, layer: Layer) -> String {
-        format!(
-            "king_county_west_{}_{}_{}.tif",
-            scene.spec.lidar.year,
-            layer.name(),
-            self.number
-        )
+        format!("king_county_west_{}_{}_{}.tif", scene.spec.lidar.year, layer.name(), self.number)
     }
 }
 
@@ -352,13 +347,15 @@ mod tests {
     fn water_has_no_height_but_docks_do() {
         let scene = scene(|s| {
             s.terrain.base_height_metres = 15.0;
-            s.water = Some(WaterSpec { share: 0.5, docks_per_100_metres: 4.0, ..WaterSpec::default() });
+            s.water =
+                Some(WaterSpec { share: 0.5, docks_per_100_metres: 4.0, ..WaterSpec::default() });
         });
         let survey = Survey::new(&scene);
         let (mut open, mut docks) = (0, 0);
         for row in -60..60 {
             for column in -90..0 {
-                let (x, y) = ((column as f64 + 0.5) * survey.cell_m, -(row as f64 + 0.5) * survey.cell_m);
+                let (x, y) =
+                    ((column as f64 + 0.5) * survey.cell_m, -(row as f64 + 0.5) * survey.cell_m);
                 if scene.terrain.inland(x, y) < 0.0 {
                     assert_eq!(survey.height(Layer::Dtm, column, row), None);
                     match scene.class(Epoch::Lidar, x, y) {
@@ -366,7 +363,10 @@ mod tests {
                             assert_eq!(survey.height(Layer::Dsm, column, row), None);
                             open += 1;
                         }
-                        _ => docks += usize::from(survey.height(Layer::Dsm, column, row) > Some(5.0)),
+                        _ => {
+                            docks +=
+                                usize::from(survey.height(Layer::Dsm, column, row) > Some(5.0));
+                        }
                     }
                 }
             }
@@ -397,7 +397,8 @@ mod tests {
         }
         let differs = |change: fn(&mut SceneSpec)| {
             let other = whole(&scene(change), Layer::Dsm);
-            other.iter().zip(&reference).filter(|(a, b)| a != b).count() as f64 / reference.len() as f64
+            other.iter().zip(&reference).filter(|(a, b)| a != b).count() as f64
+                / reference.len() as f64
         };
         assert!(differs(|s| s.lidar.noise_sigma_metres = 0.1) > 0.99);
         let missing = differs(|s| s.lidar.missing_pulse_share = 0.2);

@@ -20,7 +20,8 @@ pub(super) fn paint(solid: &Solid, face: Face, at: [f64; 3]) -> Paint {
                 walls(&Wall { rect, uv, side, z, storey, seed }, wall)
             }
             (Face::Top(plane), Some((rect, uv))) => {
-                let gabled = matches!(&solid.shape, Shape::Prism(p) if p.gradient(plane) != (0.0, 0.0));
+                let gabled =
+                    matches!(&solid.shape, Shape::Prism(p) if p.gradient(plane) != (0.0, 0.0));
                 roof(&RoofPoint { rect, uv, plane, gabled, at, seed }, covering, colour)
             }
             _ => Paint { colour, key: 0 },
@@ -50,7 +51,8 @@ pub(super) fn paint(solid: &Solid, face: Face, at: [f64; 3]) -> Paint {
             Paint { colour: mix(scale(colour, tone), rgb(96, 70, 54), (rust - 0.6) * 3.0), key: 3 }
         }
         Finish::Plain { colour } => {
-            let tone = 0.9 + 0.16 * value(x * 2.0, y * 2.0, 29) + 0.06 * value(x * 9.0, y * 9.0, 31);
+            let tone =
+                0.9 + 0.16 * value(x * 2.0, y * 2.0, 29) + 0.06 * value(x * 9.0, y * 9.0, 31);
             Paint { colour: scale(colour, tone), key: 4 }
         }
     }
@@ -88,7 +90,8 @@ fn roof(p: &RoofPoint, covering: Covering, colour: Colour) -> Paint {
                 tone *= 0.88;
             }
             let shift = f64::from(course as i32 & 1) * 0.5;
-            tone *= 0.93 + 0.14 * cell((along / 0.5 + shift).floor() as i32, course as i32, p.seed ^ 3);
+            tone *=
+                0.93 + 0.14 * cell((along / 0.5 + shift).floor() as i32, course as i32, p.seed ^ 3);
         }
         Covering::Tile => {
             let row = (down / 0.38).floor();
@@ -209,7 +212,7 @@ fn car_cabin(frame: Option<(Rect, (f64, f64))>, face: Face, colour: Colour) -> P
         return glass;
     }
     let (nose, side) = (u / rect.half_u, v.abs() / rect.half_v);
-    if nose > 0.52 || nose < -0.66 {
+    if !(-0.66..=0.52).contains(&nose) {
         return if side > 0.93 { Paint { colour, key: 6 } } else { glass };
     }
     if side > 0.86 {

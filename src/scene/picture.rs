@@ -19,10 +19,8 @@ pub fn encode(
     colours: ImageColours,
     path: &Path,
 ) -> Result<Vec<u8>, SceneError> {
-    let fail = |e: png::EncodingError| SceneError::Write {
-        path: path.to_owned(),
-        reason: e.to_string(),
-    };
+    let fail =
+        |e: png::EncodingError| SceneError::Write { path: path.to_owned(), reason: e.to_string() };
     let mut bytes = Vec::new();
     let mut encoder = png::Encoder::new(&mut bytes, size, size);
     encoder.set_depth(png::BitDepth::Eight);
@@ -80,21 +78,19 @@ impl Palette {
         for pixel in rgb.as_chunks::<3>().0 {
             let b = &mut bins[bin(*pixel)];
             b.count += 1;
-            for i in 0..3 {
-                b.sum[i] += u64::from(pixel[i]);
+            for (sum, &level) in b.sum.iter_mut().zip(pixel) {
+                *sum += u64::from(level);
             }
         }
         bins.retain(|b| b.count > 0);
         let mut boxes = vec![bins];
         while boxes.len() < PALETTE {
             // The box with the widest spread of levels, weighted by its pixels, is cut next.
-            let widest = (0..boxes.len())
-                .filter(|k| boxes[*k].len() > 1)
-                .max_by_key(|k| {
-                    let (channel, spread) = widest_channel(&boxes[*k]);
-                    let count: u64 = boxes[*k].iter().map(|b| b.count).sum();
-                    (spread * spread * count.isqrt(), channel, std::cmp::Reverse(*k))
-                });
+            let widest = (0..boxes.len()).filter(|k| boxes[*k].len() > 1).max_by_key(|k| {
+                let (channel, spread) = widest_channel(&boxes[*k]);
+                let count: u64 = boxes[*k].iter().map(|b| b.count).sum();
+                (spread * spread * count.isqrt(), channel, std::cmp::Reverse(*k))
+            });
             let Some(k) = widest else { break };
             let mut whole = boxes.swap_remove(k);
             let (channel, _) = widest_channel(&whole);
@@ -175,7 +171,8 @@ mod tests {
 
     #[test]
     fn a_picture_of_few_colours_keeps_them() {
-        let rgb: Vec<u8> = (0..256).flat_map(|i| if i % 7 == 0 { [255, 0, 9] } else { [3, 200, 77] }).collect();
+        let rgb: Vec<u8> =
+            (0..256).flat_map(|i| if i % 7 == 0 { [255, 0, 9] } else { [3, 200, 77] }).collect();
         let bytes = encode(&rgb, 16, ImageColours::Palette, Path::new("x.png")).expect("encodes");
         assert_eq!(decode(&bytes).to_rgb8().into_raw(), rgb);
     }

@@ -70,8 +70,8 @@ impl Scene {
                     for offset in extra {
                         let p = positions[column];
                         let s = self.sample(&light, [p[0] + offset[0], p[1] + offset[1]]);
-                        for i in 0..3 {
-                            colour[i] += s.colour[i];
+                        for (sum, part) in colour.iter_mut().zip(s.colour) {
+                            *sum += part;
                         }
                     }
                     colour = scale(colour, 0.2);
@@ -117,7 +117,11 @@ impl Scene {
             }
         };
         // A solid that the slope has buried is not seen.
-        if seen.solid.is_some() && seen.at[2] > ground.z { (seen, ground) } else { (on_ground, ground) }
+        if seen.solid.is_some() && seen.at[2] > ground.z {
+            (seen, ground)
+        } else {
+            (on_ground, ground)
+        }
     }
 
     fn sample(&self, light: &Light, p: [f64; 2]) -> Sample {
@@ -190,5 +194,9 @@ fn shade(light: &Light, paint: &Paint, up: f32, lit: f32, class: Class) -> Colou
 /// Compresses what is brighter than white, so that pale roofs keep their texture.
 fn tone(v: f32) -> f32 {
     let knee = 0.72;
-    if v <= knee { v.max(0.0) } else { knee + (1.0 - knee) * (1.0 - 1.0 / (1.0 + (v - knee) / (1.0 - knee))) }
+    if v <= knee {
+        v.max(0.0)
+    } else {
+        knee + (1.0 - knee) * (1.0 - 1.0 / (1.0 + (v - knee) / (1.0 - knee)))
+    }
 }

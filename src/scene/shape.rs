@@ -115,13 +115,7 @@ impl Rect {
     /// The same rectangle with u and v exchanged.
     #[must_use]
     pub fn turned(&self) -> Self {
-        Self {
-            cos: -self.sin,
-            sin: self.cos,
-            half_u: self.half_v,
-            half_v: self.half_u,
-            ..*self
-        }
+        Self { cos: -self.sin, sin: self.cos, half_u: self.half_v, half_v: self.half_u, ..*self }
     }
 }
 

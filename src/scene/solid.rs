@@ -274,9 +274,9 @@ impl Puff {
         let (r, h) = (1.0 / self.radius, 1.0 / self.half_height);
         let scale = [r, r, h];
         let (mut a, mut half_b, mut c) = (0.0, 0.0, -1.0);
-        for i in 0..3 {
-            let p = (ray.from[i] - self.center[i]) * scale[i];
-            let d = ray.step[i] * scale[i];
+        for (i, scale) in scale.into_iter().enumerate() {
+            let p = (ray.from[i] - self.center[i]) * scale;
+            let d = ray.step[i] * scale;
             a += d * d;
             half_b += p * d;
             c += p * p;
@@ -468,8 +468,7 @@ impl Shape {
             (Self::Cylinder(_), Face::Top(_)) => [0.0, 0.0, 1.0],
             (Self::Crown(c), Face::Top(i) | Face::Wall(i)) => {
                 let puff = &c.puffs[usize::from(i).min(c.puffs.len() - 1)];
-                let (r2, h2) =
-                    (puff.radius * puff.radius, puff.half_height * puff.half_height);
+                let (r2, h2) = (puff.radius * puff.radius, puff.half_height * puff.half_height);
                 [
                     (at[0] - puff.center[0]) / r2,
                     (at[1] - puff.center[1]) / r2,
@@ -498,7 +497,8 @@ mod tests {
         assert!((z - 8.5).abs() < 1e-12);
         assert_eq!(face, Face::Top(1));
         let hip = house(Roof::Hip { ridge: 10.0, slope: 0.5 });
-        for (u, v, expected) in [(0.0, 0.0, 10.0), (2.0, 0.0, 10.0), (6.0, 0.0, 8.0), (0.0, 4.0, 8.0)]
+        for (u, v, expected) in
+            [(0.0, 0.0, 10.0), (2.0, 0.0, 10.0), (6.0, 0.0, 8.0), (0.0, 4.0, 8.0)]
         {
             let [x, y] = hip.rect.at(u * (1.0 - 1e-12), v * (1.0 - 1e-12));
             let z = hip.top(x, y).expect("inside").0;

@@ -97,7 +97,8 @@ impl Streets {
         let azimuth = spec.azimuth_degrees.to_radians();
         let family = |which: u64, spacing: f64| {
             let mut streets = Vec::new();
-            let start = Draw::new(&[seed, super::purpose::STREETS, which]).range(-0.5, 0.5) * spacing;
+            let start =
+                Draw::new(&[seed, super::purpose::STREETS, which]).range(-0.5, 0.5) * spacing;
             for direction in [1_i64, -1] {
                 let mut at = start;
                 let mut number = 0_i64;

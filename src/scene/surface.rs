@@ -56,10 +56,8 @@ impl Scene {
     /// # Errors
     /// [`SceneError::Crs`] where the place cannot be projected.
     pub fn new(spec: SceneSpec, options: &Options) -> Result<Self, SceneError> {
-        let place = LonLat {
-            lon_deg: spec.place.longitude_degrees,
-            lat_deg: spec.place.latitude_degrees,
-        };
+        let place =
+            LonLat { lon_deg: spec.place.longitude_degrees, lat_deg: spec.place.latitude_degrees };
         let frame = Frame::new(place, spec.tiles.pixel_feet, true)?;
         let terrain = Terrain::new(&spec);
         let (effects, plan) = resolve(&spec, options, &frame, &terrain)?;
@@ -69,8 +67,7 @@ impl Scene {
             Frame::new(place, spec.tiles.pixel_feet, false)?
         };
         let (hw, hh) = (spec.extent.width_metres / 2.0, spec.extent.height_metres / 2.0);
-        let area =
-            Bounds { west: -hw, south: -hh, east: hw, north: hh }.grown(super::MARGIN_M);
+        let area = Bounds { west: -hw, south: -hh, east: hw, north: hh }.grown(super::MARGIN_M);
         let streets = Streets::new(&spec.streets, spec.seed, reach(&spec));
         let change = epoch::Change::new(&spec, &effects);
         let layout = layout::lay_out(&spec, &terrain, &streets, area, change.moves_cars());
@@ -173,7 +170,8 @@ fn sun_ray(spec: &SceneSpec, frame: &Frame, effects: &Effects) -> Option<SunRay>
         libm::sincos(sun.elevation_degrees.to_radians())
     };
     let level_grid = level * grid_scale(frame, effects);
-    let curvature = if effects.on(Effect::Curvature) { level * level / (2.0 * WGS84_A) } else { 0.0 };
+    let curvature =
+        if effects.on(Effect::Curvature) { level * level / (2.0 * WGS84_A) } else { 0.0 };
     Some(SunRay { step: [east * level_grid, north * level_grid, up], curvature })
 }
 

@@ -108,11 +108,8 @@ impl Terrain {
 
     /// The land as it would be without water.
     fn land(&self, x: f64, y: f64) -> [f64; 3] {
-        let mut sum = [
-            self.base + self.slope[0] * x + self.slope[1] * y,
-            self.slope[0],
-            self.slope[1],
-        ];
+        let mut sum =
+            [self.base + self.slope[0] * x + self.slope[1] * y, self.slope[0], self.slope[1]];
         for wave in &self.waves {
             let w = wave.at(x, y);
             for i in 0..3 {
@@ -224,11 +221,8 @@ impl Shore {
 
     /// Distance inland and its gradient.
     fn distance(&self, x: f64, y: f64) -> [f64; 3] {
-        let mut d = [
-            self.inland[0] * x + self.inland[1] * y - self.offset,
-            self.inland[0],
-            self.inland[1],
-        ];
+        let mut d =
+            [self.inland[0] * x + self.inland[1] * y - self.offset, self.inland[0], self.inland[1]];
         for wave in &self.swing {
             let w = wave.at(x, y);
             for i in 0..3 {

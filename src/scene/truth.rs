@@ -203,7 +203,7 @@ mod tests {
             let [x, y] = pixels.row(i / 96 + m)[i % 96 + m];
             let middle = scene.surface(Epoch::Image, x, y);
             for k in 0..16 {
-                let (sin, cos) = libm::sincos(f64::from(k) * 0.3927);
+                let (sin, cos) = libm::sincos(f64::from(k) * std::f64::consts::FRAC_PI_8);
                 let s = scene.surface(Epoch::Image, x + reach * cos, y + reach * sin);
                 assert_eq!(s.solid, middle.solid);
                 assert!((s.height - middle.height).abs() < 1.5 * reach);

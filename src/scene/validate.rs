@@ -1,7 +1,7 @@
 //! Reading a scene file, and refusing values that make no sense.
 
 use super::error::SceneError;
-use super::spec::{Season, SceneSpec, Sampling, TileStorage};
+use super::spec::{Sampling, SceneSpec, Season, TileStorage};
 use std::fmt::Display;
 use std::path::Path;
 
@@ -246,7 +246,14 @@ impl Check<'_> {
         })
     }
 
-    fn range(&self, key: &str, value: f64, low: f64, high: f64, why: &str) -> Result<(), SceneError> {
+    fn range(
+        &self,
+        key: &str,
+        value: f64,
+        low: f64,
+        high: f64,
+        why: &str,
+    ) -> Result<(), SceneError> {
         let mut reason = format!("must be between {low} and {high}");
         if !why.is_empty() {
             reason = format!("{reason}; {why}");
@@ -278,17 +285,29 @@ mod tests {
     #[test]
     fn bad_values_name_the_file_the_key_and_the_value() {
         for (text, parts) in [
-            ("[sun]\nazimuth_degrees = 180\nelevation_degrees = -5", vec!["sun.elevation_degrees = -5", "overcast"]),
+            (
+                "[sun]\nazimuth_degrees = 180\nelevation_degrees = -5",
+                vec!["sun.elevation_degrees = -5", "overcast"],
+            ),
             ("[extent]\nwidth_metres = -10", vec!["extent.width_metres = -10"]),
-            ("[place]\nlatitude_degrees = 51.5", vec!["place.latitude_degrees = 51.5", "Washington"]),
+            (
+                "[place]\nlatitude_degrees = 51.5",
+                vec!["place.latitude_degrees = 51.5", "Washington"],
+            ),
             ("[place]\nlongitude_degrees = nan", vec!["place.longitude_degrees = NaN"]),
             ("[water]\nlevel_metres = 90", vec!["water.level_metres = 90", "below the land"]),
             ("[blocks]\nsuburb = -1", vec!["blocks.suburb = -1"]),
             ("[lidar]\nnoise_sigma_metres = inf", vec!["lidar.noise_sigma_metres = inf"]),
             ("[tiles]\nnodata = 0", vec!["tiles.nodata = 0", "could be a height"]),
             ("[tiles]\nblock_pixels = 100", vec!["tiles.block_pixels = 100", "multiple of 16"]),
-            ("[view]\noff_nadir_degrees = 60\nazimuth_degrees = 0", vec!["view.off_nadir_degrees = 60"]),
-            ("[images]\ncentres_degrees = [[-122.3, 47.6]]", vec!["centres_degrees[0]", "latitude comes first"]),
+            (
+                "[view]\noff_nadir_degrees = 60\nazimuth_degrees = 0",
+                vec!["view.off_nadir_degrees = 60"],
+            ),
+            (
+                "[images]\ncentres_degrees = [[-122.3, 47.6]]",
+                vec!["centres_degrees[0]", "latitude comes first"],
+            ),
             ("[terrain]\nrelief_metres = 500", vec!["terrain.relief_metres = 500", "steeper"]),
         ] {
             let message = error(text);
@@ -301,8 +320,12 @@ mod tests {
 
     #[test]
     fn unknown_keys_are_refused_with_their_line() {
-        let message = error("seed = 3\n[sun]\nazimuth_degrees = 1\nelevation_degrees = 30\nheight = 2\n");
-        assert!(message.contains("unknown field `height`") && message.contains("line 5"), "{message}");
+        let message =
+            error("seed = 3\n[sun]\nazimuth_degrees = 1\nelevation_degrees = 30\nheight = 2\n");
+        assert!(
+            message.contains("unknown field `height`") && message.contains("line 5"),
+            "{message}"
+        );
         assert!(error("[suns]\n").contains("unknown field `suns`"));
         assert!(error("[sun]\nazimuth_degrees = 1").contains("elevation_degrees"));
         assert!(error("seed = \"x\"").contains("seed"));

@@ -118,10 +118,8 @@ fn fits(scene: &Scene, center: LonLat) -> Result<bool, SceneError> {
     let size = spec.images.size_pixels;
     let grid = ImageGrid::new(center, spec.images.zoom, size, size)?;
     let border = 2.0 * spec.tiles.pixel_feet * US_SURVEY_FOOT_M;
-    let (hw, hh) = (
-        spec.extent.width_metres / 2.0 - border,
-        spec.extent.height_metres / 2.0 - border,
-    );
+    let (hw, hh) =
+        (spec.extent.width_metres / 2.0 - border, spec.extent.height_metres / 2.0 - border);
     let far = f64::from(size);
     for (x, y) in [(0.0, 0.0), (far, 0.0), (0.0, far), (far, far)] {
         let [east, north] = scene.frame.to_local(grid.lonlat(PixelPoint { x, y }))?;
@@ -228,7 +226,8 @@ pub fn label_files(
             for &image in &panorama.images {
                 let image = &images[image];
                 let c = utm.forward(image.center)?;
-                let offset = |resolution: f64| [-(p.y - c.y) / resolution, -(p.x - c.x) / resolution];
+                let offset =
+                    |resolution: f64| [-(p.y - c.y) / resolution, -(p.x - c.x) / resolution];
                 let [d0, d1] = offset(ORIGINAL_RESOLUTION_M);
                 let _ = write!(texts[0], " {}.png {d0} {d1}", image.stem);
                 let [d0, d1] = offset(CORRECTED_RESOLUTION_M).map(f64::round_ties_even);
@@ -283,7 +282,10 @@ mod tests {
         spec.extent.width_metres = 50.0;
         let scene = Scene::new(spec, &Options::default()).expect("a scene");
         let message = images(&scene).expect_err("too small").to_string();
-        assert!(message.contains("640 pixels (64 m)") && message.contains("50 x 280 m"), "{message}");
+        assert!(
+            message.contains("640 pixels (64 m)") && message.contains("50 x 280 m"),
+            "{message}"
+        );
     }
 
     #[test]
@@ -313,9 +315,7 @@ mod tests {
         let panoramas = panoramas(&scene, &images).expect("panoramas");
         let files = label_files(&scene, &images, &panoramas).expect("files");
         assert_eq!(files.len(), 8);
-        let text = |name: &str| {
-            &files.iter().find(|f| f.0.ends_with(name)).expect("the file").1
-        };
+        let text = |name: &str| &files.iter().find(|f| f.0.ends_with(name)).expect("the file").1;
         let all = text("pano_label_balanced__corrected.txt");
         assert_eq!(all.lines().count(), panoramas.len());
         for (line, panorama) in all.lines().zip(&panoramas) {
@@ -329,7 +329,10 @@ mod tests {
             assert!((320.0 - d(3) - pixel.x).abs() < 8.0 && (320.0 + d(2) - pixel.y).abs() < 8.0);
             assert!(d(2).fract() == 0.0 && fields[2].ends_with(".0"));
         }
-        let (train, test) = (text("Seattle/same_area_balanced_train.txt"), text("Seattle/same_area_balanced_test.txt"));
+        let (train, test) = (
+            text("Seattle/same_area_balanced_train.txt"),
+            text("Seattle/same_area_balanced_test.txt"),
+        );
         assert_eq!(train.lines().count() + test.lines().count(), panoramas.len());
         assert!(train.lines().count() > 1 && test.lines().count() > 1);
     }

@@ -77,7 +77,9 @@ impl World {
         let grid = CellGrid::new(area, &boxes);
         let tops = (0..grid.cells())
             .map(|cell| {
-                grid.in_cell(cell).first().map_or(f64::NEG_INFINITY, |s| solids[*s as usize].highest)
+                grid.in_cell(cell)
+                    .first()
+                    .map_or(f64::NEG_INFINITY, |s| solids[*s as usize].highest)
             })
             .collect();
         let highest = solids.first().map_or(f64::NEG_INFINITY, |s| s.highest);
@@ -92,12 +94,7 @@ impl World {
 
     /// The highest solid over a point, its height and face, among those that `keep` accepts.
     #[must_use]
-    pub fn top(
-        &self,
-        x: f64,
-        y: f64,
-        keep: impl Fn(Class) -> bool,
-    ) -> Option<(u32, f64, Face)> {
+    pub fn top(&self, x: f64, y: f64, keep: impl Fn(Class) -> bool) -> Option<(u32, f64, Face)> {
         let mut best: Option<(u32, f64, Face)> = None;
         for &index in self.grid.over(x, y) {
             let solid = &self.solids[index as usize];
@@ -134,9 +131,11 @@ impl World {
                     step: [dx, dy, dz + 2.0 * sun.curvature * middle],
                 };
                 if self.tops[cell] > from[2] + enter * dz
-                    && self.grid.in_cell(cell).iter().any(|s| {
-                        self.solids[*s as usize].shape.blocks(&ray, CLEARANCE_M)
-                    })
+                    && self
+                        .grid
+                        .in_cell(cell)
+                        .iter()
+                        .any(|s| self.solids[*s as usize].shape.blocks(&ray, CLEARANCE_M))
                 {
                     return ControlFlow::Break(());
                 }
@@ -153,22 +152,21 @@ impl World {
         let ray = Ray { from: ground, step: [lean[0], lean[1], 1.0] };
         let end = self.highest - ground[2];
         if end > 0.0 {
-            let _: Option<()> =
-                self.grid.along([ground[0], ground[1]], lean, end, |cell, _, _| {
-                    for &index in self.grid.in_cell(cell) {
-                        let solid = &self.solids[index as usize];
-                        let high = best.map_or(0.0, |b| b.1);
-                        if solid.highest - ground[2] <= high {
-                            break;
-                        }
-                        if let Some(span) = solid.shape.clip(&ray)
-                            && span.exit > high
-                        {
-                            best = Some((index, span.exit, span.exit_face));
-                        }
+            let _: Option<()> = self.grid.along([ground[0], ground[1]], lean, end, |cell, _, _| {
+                for &index in self.grid.in_cell(cell) {
+                    let solid = &self.solids[index as usize];
+                    let high = best.map_or(0.0, |b| b.1);
+                    if solid.highest - ground[2] <= high {
+                        break;
                     }
-                    ControlFlow::Continue(())
-                });
+                    if let Some(span) = solid.shape.clip(&ray)
+                        && span.exit > high
+                    {
+                        best = Some((index, span.exit, span.exit_face));
+                    }
+                }
+                ControlFlow::Continue(())
+            });
         }
         let Some((index, t, face)) = best else {
             return Seen { solid: None, face: Face::Top(0), at: ground };

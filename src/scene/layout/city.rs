@@ -56,7 +56,12 @@ impl Look {
             rgb(110, 124, 138),
             rgb(196, 192, 184),
         ]);
-        Self { covering, roof: jitter(draw, roof, 0.12), wall: jitter(draw, wall, 0.1), storey: 3.4 }
+        Self {
+            covering,
+            roof: jitter(draw, roof, 0.12),
+            wall: jitter(draw, wall, 0.1),
+            storey: 3.4,
+        }
     }
 }
 
@@ -88,7 +93,8 @@ fn roof_clutter(draw: &mut Draw, rect: &Rect, top: f64, parts: &mut Vec<Part>) {
         let (ru, rv) = (hu - half_u - 1.2, hv - half_v - 1.2);
         if ru > 0.0 && rv > 0.0 {
             let place = rect.sub(draw.range(-ru, ru), draw.range(-rv, rv), half_u, half_v);
-            let shape = Shape::Prism(Prism { rect: place, bottom: top - 0.5, roof: flat(top + height) });
+            let shape =
+                Shape::Prism(Prism { rect: place, bottom: top - 0.5, roof: flat(top + height) });
             parts.push(Part { class: Class::Building, finish, shape });
         }
     };
@@ -112,7 +118,10 @@ fn roof_clutter(draw: &mut Draw, rect: &Rect, top: f64, parts: &mut Vec<Part>) {
 pub(super) fn downtown(b: &mut Builder<'_>, block: &BlockArea) {
     let mut plan = b.draw(purpose::LOTS, &[block.index[0], block.index[1], 10]);
     let (ds, dt) = (block.s1 - block.s0, block.t1 - block.t0);
-    let (ns, nt) = ((ds / plan.range(24.0, 36.0)).round().max(1.0), (dt / plan.range(26.0, 40.0)).round().max(1.0));
+    let (ns, nt) = (
+        (ds / plan.range(24.0, 36.0)).round().max(1.0),
+        (dt / plan.range(26.0, 40.0)).round().max(1.0),
+    );
     for i in 0..ns as i64 {
         for j in 0..nt as i64 {
             let cut = |low: f64, size: f64, k: i64, n: f64| {

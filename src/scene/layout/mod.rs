@@ -114,8 +114,8 @@ pub fn lay_out(
 
 /// Whether any of a block may lie in the area.
 fn reaches(streets: &Streets, b: &BlockArea, area: &Bounds) -> bool {
-    let corners =
-        [(b.s0, b.t0), (b.s1, b.t0), (b.s0, b.t1), (b.s1, b.t1)].map(|(s, t)| streets.to_local(s, t));
+    let corners = [(b.s0, b.t0), (b.s1, b.t0), (b.s0, b.t1), (b.s1, b.t1)]
+        .map(|(s, t)| streets.to_local(s, t));
     let low = corners.iter().fold([f64::INFINITY; 2], |m, c| [m[0].min(c[0]), m[1].min(c[1])]);
     let high = corners.iter().fold([f64::NEG_INFINITY; 2], |m, c| [m[0].max(c[0]), m[1].max(c[1])]);
     low[0] < area.east && high[0] > area.west && low[1] < area.north && high[1] > area.south
@@ -144,8 +144,7 @@ fn assign_uses(
     let mut ranked: Vec<(f64, [i64; 2])> = blocks
         .iter()
         .map(|block| {
-            let [x, y] =
-                streets.to_local((block.s0 + block.s1) / 2.0, (block.t0 + block.t1) / 2.0);
+            let [x, y] = streets.to_local((block.s0 + block.s1) / 2.0, (block.t0 + block.t1) / 2.0);
             let [i, j] = block.index.map(i64::cast_unsigned);
             let jitter = Draw::new(&[spec.seed, purpose::USES, i, j]).range(0.0, 0.55);
             (libm::hypot(x - middle[0], y - middle[1]) / reach + jitter, block.index)
@@ -287,7 +286,10 @@ mod tests {
 
     #[test]
     fn buildings_stand_off_the_streets_and_on_land() {
-        let mut spec = SceneSpec { water: Some(super::super::spec::WaterSpec::default()), ..SceneSpec::default() };
+        let mut spec = SceneSpec {
+            water: Some(super::super::spec::WaterSpec::default()),
+            ..SceneSpec::default()
+        };
         spec.terrain.base_height_metres = 20.0;
         let plan = layout(&spec);
         let terrain = Terrain::new(&spec);

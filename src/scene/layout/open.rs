@@ -60,12 +60,14 @@ fn scatter(b: &mut Builder<'_>, draw: &mut Draw, area: &Rect, per_hectare: f64, 
     }
     let step = (10_000.0 / per_hectare).sqrt();
     let clump = draw.bits() as u32;
-    let (nu, nv) = ((2.0 * area.half_u / step).ceil() as i64, (2.0 * area.half_v / step).ceil() as i64);
+    let (nu, nv) =
+        ((2.0 * area.half_u / step).ceil() as i64, (2.0 * area.half_v / step).ceil() as i64);
     for i in 0..nu {
         for j in 0..nv {
             let u = -area.half_u + (i as f64 + draw.range(0.0, 1.0)) * step;
             let v = -area.half_v + (j as f64 + draw.range(0.0, 1.0)) * step;
-            let [x, y] = area.at(u.clamp(-area.half_u, area.half_u), v.clamp(-area.half_v, area.half_v));
+            let [x, y] =
+                area.at(u.clamp(-area.half_u, area.half_u), v.clamp(-area.half_v, area.half_v));
             if free.iter().any(|f| f.contains(x, y)) {
                 continue;
             }
@@ -132,7 +134,10 @@ fn dock(b: &mut Builder<'_>, draw: &mut Draw, shore: [f64; 2], out: [f64; 2], le
         let u = deck.half_u - 1.0 - k as f64 * 6.5;
         for side in [-1.0, 1.0] {
             let reach = 4.0;
-            parts.push(plank(deck.sub(u, side * (half_width + reach), 0.45, reach), draw.bits() as u32));
+            parts.push(plank(
+                deck.sub(u, side * (half_width + reach), 0.45, reach),
+                draw.bits() as u32,
+            ));
             berths.push(deck.sub(u - 3.2, side * (half_width + reach + 0.4), 1.35, 3.7).turned());
         }
     }
@@ -149,7 +154,11 @@ fn boat(b: &mut Builder<'_>, draw: &mut Draw, rect: Rect, level: f64) {
     if !corners_afloat {
         return;
     }
-    let hull = jitter(draw, draw.clone().pick([rgb(236, 236, 232), rgb(226, 228, 230), rgb(52, 70, 104)]), 0.06);
+    let hull = jitter(
+        draw,
+        draw.clone().pick([rgb(236, 236, 232), rgb(226, 228, 230), rgb(52, 70, 104)]),
+        0.06,
+    );
     let part = |rect: Rect, roof: Roof, finish: Finish| Part {
         class: Class::Structure,
         finish,
@@ -160,7 +169,11 @@ fn boat(b: &mut Builder<'_>, draw: &mut Draw, rect: Rect, level: f64) {
     b.add(
         Kind::Structure,
         vec![
-            part(rect.sub(-0.08 * rect.half_u, 0.0, rect.half_u * 0.8, rect.half_v * 0.85), flat(level + 0.9), Finish::Plain { colour: hull }),
+            part(
+                rect.sub(-0.08 * rect.half_u, 0.0, rect.half_u * 0.8, rect.half_v * 0.85),
+                flat(level + 0.9),
+                Finish::Plain { colour: hull },
+            ),
             part(bow, flat(level + 1.0), Finish::Plain { colour: hull }),
             part(cabin, flat(level + 2.1), Finish::CarCabin { colour: rgb(240, 240, 238) }),
         ],

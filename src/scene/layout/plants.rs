@@ -70,7 +70,13 @@ impl Builder<'_> {
 }
 
 fn pick_shrub(draw: &mut Draw) -> Colour {
-    draw.pick([rgb(58, 92, 40), rgb(78, 104, 48), rgb(46, 76, 44), rgb(98, 108, 56), rgb(108, 70, 62)])
+    draw.pick([
+        rgb(58, 92, 40),
+        rgb(78, 104, 48),
+        rgb(46, 76, 44),
+        rgb(98, 108, 56),
+        rgb(108, 70, 62),
+    ])
 }
 
 /// A colour made lighter or darker, and each channel a little different.
@@ -81,7 +87,9 @@ pub(super) fn jitter(draw: &mut Draw, colour: Colour, by: f64) -> Colour {
 
 fn broadleaf_colour(draw: &mut Draw, season: Season) -> Colour {
     let base = match season {
-        Season::Spring => draw.pick([rgb(104, 140, 58), rgb(88, 128, 52), rgb(128, 152, 74), rgb(168, 140, 148)]),
+        Season::Spring => {
+            draw.pick([rgb(104, 140, 58), rgb(88, 128, 52), rgb(128, 152, 74), rgb(168, 140, 148)])
+        }
         Season::Summer => draw.pick([
             rgb(74, 106, 44),
             rgb(86, 116, 48),
@@ -163,10 +171,7 @@ fn broadleaf_parts(draw: &mut Draw, at: [f64; 3], height: f64, season: Season) -
         puff.center[2] += ground + height - top;
     }
     let colour = broadleaf_colour(draw, season);
-    vec![
-        crown_part(x, y, puffs, colour, draw),
-        trunk(at, height, ground + height - 0.55 * depth),
-    ]
+    vec![crown_part(x, y, puffs, colour, draw), trunk(at, height, ground + height - 0.55 * depth)]
 }
 
 /// A spire with tiers of branches that point outwards.

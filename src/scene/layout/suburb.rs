@@ -1,7 +1,7 @@
 //! Blocks of family houses: two rows of lots back to back, each with a house, a drive, a garden.
 
-use super::{Builder, Frame};
 use super::plants::jitter;
+use super::{Builder, Frame};
 use crate::scene::hash::Draw;
 use crate::scene::object::{Class, Colour, Cover, Covering, Finish, Kind, Part, rgb};
 use crate::scene::purpose;
@@ -66,12 +66,9 @@ impl Style {
         };
         let roof = match covering {
             Covering::Tile => draw.pick([rgb(158, 84, 62), rgb(142, 72, 56), rgb(172, 104, 74)]),
-            Covering::Metal => draw.pick([
-                rgb(150, 42, 44),
-                rgb(62, 92, 78),
-                rgb(120, 134, 146),
-                rgb(62, 86, 118),
-            ]),
+            Covering::Metal => {
+                draw.pick([rgb(150, 42, 44), rgb(62, 92, 78), rgb(120, 134, 146), rgb(62, 86, 118)])
+            }
             _ => draw.pick([
                 rgb(104, 104, 106),
                 rgb(86, 88, 94),
@@ -213,7 +210,8 @@ impl Lot {
             let rect = main.sub(u, v, half_u, half_v);
             let dv = -slope * v.signum();
             let z = ridge - slope * v.abs() + 0.12;
-            let shape = Shape::Prism(Prism { rect, bottom: z - 2.0, roof: Roof::Plane { z, du: 0.0, dv } });
+            let shape =
+                Shape::Prism(Prism { rect, bottom: z - 2.0, roof: Roof::Plane { z, du: 0.0, dv } });
             parts.push(Part { class: Class::Building, finish, shape });
         };
         let sign = if draw.chance(0.5) { 1.0 } else { -1.0 };
@@ -250,7 +248,10 @@ impl Lot {
         }
         if draw.chance(0.4) {
             let w = draw.range(-0.3, 0.3) * half;
-            b.paint(f.rect(w, back - 8.5, 2.4, 1.9), draw.pick([Cover::Concrete, Cover::Paving, Cover::Soil]));
+            b.paint(
+                f.rect(w, back - 8.5, 2.4, 1.9),
+                draw.pick([Cover::Concrete, Cover::Paving, Cover::Soil]),
+            );
         }
         if draw.chance(0.05) {
             let rect = f.rect(-side * 0.3 * half, back - 5.0, 3.6, 1.9);
@@ -275,7 +276,11 @@ impl Lot {
         }
         for _ in 0..draw.count(b.spec.trees.per_garden) {
             let w = draw.range(-0.9, 0.9) * half;
-            let d = if draw.chance(0.7) { draw.range(back - 8.0, back - 0.8) } else { draw.range(0.8, 3.6) };
+            let d = if draw.chance(0.7) {
+                draw.range(back - 8.0, back - 0.8)
+            } else {
+                draw.range(0.8, 3.6)
+            };
             let [x, y] = f.at(w, d);
             let scale = draw.range(0.2, 0.75);
             b.plant_tree(draw, x, y, scale);

@@ -126,11 +126,7 @@ impl Segment {
     /// What the block on a side of the segment is used for.
     fn beside(&self, uses: &BTreeMap<[i64; 2], Use>, side: f64) -> Option<Use> {
         let own = self.street.number - i64::from(side < 0.0);
-        let index = if self.family == 0 {
-            [own, self.low.number]
-        } else {
-            [self.low.number, own]
-        };
+        let index = if self.family == 0 { [own, self.low.number] } else { [self.low.number, own] };
         uses.get(&index).copied()
     }
 
@@ -216,15 +212,9 @@ impl Segment {
                 bottom: ground + 8.2,
                 roof: flat(ground + 8.4),
             };
-            let part = |shape| Part {
-                class: Class::Structure,
-                finish: Finish::Plain { colour },
-                shape,
-            };
-            b.add(
-                Kind::Structure,
-                vec![part(Shape::Cylinder(pole)), part(Shape::Prism(arm))],
-            );
+            let part =
+                |shape| Part { class: Class::Structure, finish: Finish::Plain { colour }, shape };
+            b.add(Kind::Structure, vec![part(Shape::Cylinder(pole)), part(Shape::Prism(arm))]);
         }
     }
 }
