@@ -60,16 +60,19 @@ fn spec(tile: &Tile) -> GeoTiffSpec {
 }
 
 fn write_tile(path: &Path, tile: &Tile, value: impl Fn(f64, f64) -> f32) {
-    let spec = spec(tile);
+    write_spec(path, &spec(tile), value);
+}
+
+fn write_spec(path: &Path, spec: &GeoTiffSpec, value: impl Fn(f64, f64) -> f32) {
     let mut rows = Vec::new();
-    for r in 0..tile.height {
-        for c in 0..tile.width {
+    for r in 0..spec.height {
+        for c in 0..spec.width {
             let x = spec.geotransform.0[0] + (f64::from(c) + 0.5) * PIXEL;
             let y = spec.geotransform.0[3] - (f64::from(r) + 0.5) * PIXEL;
             rows.push(value(x, y));
         }
     }
-    let mut writer = GeoTiffWriter::create(path, &spec).unwrap();
+    let mut writer = GeoTiffWriter::create(path, spec).unwrap();
     writer.write_rows(&rows).unwrap();
     writer.finish().unwrap();
 }
@@ -359,6 +362,15 @@ fn no_data_in_every_form_becomes_nan_and_never_bleeds() {
             assert!(low > 65.0, "{mark} {kernel}: lowest {low}");
         }
     }
+    // Undeclared, the mark is taken for no data with a warning.
+    let area = Area::new(&[], 1);
+    let undeclared = GeoTiffSpec { nodata: None, ..spec(&WHOLE) };
+    write_spec(&area.path("tiles").join("a.tif"), &undeclared, |x, y| {
+        if y > NORTH { -9999.0 } else { surface(x, y) }
+    });
+    let mut command = area.build("undeclared", &["--max-nan", "60"]);
+    let warned = stderr(&run(command.env("SAT3D_LOG", "warn"), 0));
+    assert!(warned.contains("-9999") && warned.contains("--nodata"), "{warned}");
     // `--nodata none` takes the mark for a height.
     let area = Area::new(&[], 1);
     write_tile(&area.path("tiles").join("a.tif"), &WHOLE, |x, y| {

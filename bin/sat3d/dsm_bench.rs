@@ -326,6 +326,9 @@ fn build(args: &BuildArgs) -> anyhow::Result<ExitCode> {
         return Ok(ExitCode::Success);
     }
     let summary = prepared.run(&Interrupt::on_signals())?;
+    for warning in &summary.warnings {
+        tracing::warn!("{warning}");
+    }
     report(&summary, &args.out, args.json)?;
     Ok(summary.exit_code())
 }

@@ -74,6 +74,8 @@ pub struct RunSummary {
     pub flagged: usize,
     /// Pixels whose validity could flip within the horizontal bound.
     pub uncertain_px: u64,
+    /// What was noticed while reading, for example undeclared no-data values.
+    pub warnings: Vec<String>,
     /// Whether the run was interrupted.
     pub interrupted: bool,
     /// Whether the disk filled up.
@@ -288,6 +290,8 @@ impl Prepared {
             .chain(self.dtm.iter().flat_map(|dtm| &dtm.bad))
             .map(|bad| bad.reason.clone())
             .collect();
+        summary.warnings = self.dsm.undeclared_nodata();
+        summary.warnings.extend(self.dtm.iter().flat_map(TileSet::undeclared_nodata));
         let cache = self.dsm.store().statistics();
         (summary.blocks_decoded, summary.blocks_distinct) =
             (cache.blocks_decoded, cache.blocks_distinct);

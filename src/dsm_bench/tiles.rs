@@ -3,7 +3,7 @@
 use super::layers::{Layer, LayerSource};
 use super::{BenchError, BuildOptions, Coverage};
 use crate::crs::{CrsError, CrsSpec, ResolveOptions, ResolvedCrs, resolve};
-use crate::grid::ImageGrid;
+use crate::grid::{ImageGrid, PixelPoint};
 use crate::lidar::{Lattice, LatticeWindow, TileFootprint, TileIndex, TileStore};
 use crate::raster::{OpenOptions, RasterHeader, list_tiles};
 use crate::units::LinearUnit;
@@ -118,6 +118,8 @@ impl TileSet {
             let name = header.path.display();
             warnings.extend(header.warnings.iter().map(|w| format!("{name}: {w}")));
         }
+        #[cfg(feature = "proj")]
+        warnings.extend(proj_warnings(&tiles, &found.crs));
         let mut footprints = Vec::new();
         for (number, tile) in tiles.iter().enumerate() {
             let footprint = TileFootprint::new(
@@ -142,6 +144,22 @@ impl TileSet {
             vertical_assumed: unit.assumed,
             warnings,
         })
+    }
+
+    /// Values that tiles do not declare as no-data and that were read as such so far, as warnings.
+    #[must_use]
+    pub fn undeclared_nodata(&self) -> Vec<String> {
+        let met = |tile: &Tile| {
+            let undeclared = self.store.undeclared_nodata(tile.stored);
+            (!undeclared.is_empty()).then(|| {
+                format!(
+                    "{}: samples of {} were read as no-data although the file does not declare them; say --nodata V, or --nodata none if they are heights",
+                    tile.path.display(),
+                    undeclared.values().join(" and ")
+                )
+            })
+        };
+        self.tiles.iter().filter_map(met).collect()
     }
 
     /// The usable tiles, by number.
@@ -207,6 +225,33 @@ impl TileSet {
         }
         crate::plan::hex(&hash.finalize()[..12])
     }
+}
+
+/// Compares the closed form of each CRS with PROJ, at the corners and the middle of every tile that
+/// has it: a disagreement is a warning that names the metres.
+#[cfg(feature = "proj")]
+fn proj_warnings(tiles: &[Tile], found: &[ResolvedCrs]) -> Vec<String> {
+    let mut warnings = Vec::new();
+    for (number, crs) in found.iter().enumerate() {
+        let points: Vec<_> = tiles
+            .iter()
+            .filter(|tile| tile.crs == number)
+            .flat_map(|tile| {
+                let w = tile.window;
+                let (left, right) = (w.col as f64, w.right() as f64);
+                let (top, bottom) = (w.row as f64, w.bottom() as f64);
+                let middle = ((left + right) / 2.0, (top + bottom) / 2.0);
+                [(left, top), (right, top), (left, bottom), (right, bottom), middle]
+                    .map(|(x, y)| tile.lattice.position(PixelPoint { x, y }))
+            })
+            .filter_map(|at| crs.projection.inverse(at).ok())
+            .collect();
+        match crate::crs::check_against_proj(crs, &points) {
+            Ok(report) => warnings.extend(report.warnings(crs)),
+            Err(error) => warnings.push(format!("PROJ could not check {}: {error}", crs.spec.name)),
+        }
+    }
+    warnings
 }
 
 /// The distinct CRSs met so far.
@@ -292,7 +337,7 @@ fn resolve_for(
     };
     let resolved = resolve(spec, &asked)?;
     let corner = |x: f64, y: f64| {
-        let at = header.geotransform.to_projected(crate::grid::PixelPoint { x, y });
+        let at = header.geotransform.to_projected(PixelPoint { x, y });
         resolved.projection.inverse(at)
     };
     let (width, height) = (f64::from(header.width), f64::from(header.height));
