@@ -4,7 +4,7 @@
 mod raster_support;
 
 use proptest::prelude::*;
-use raster_support::{Image, KEYS_4326, Tag, Tiff, bits, height, read_all};
+use raster_support::{Image, KEYS_2927, KEYS_4326, Tag, Tiff, bits, height, read_all};
 use sat3d::lidar::TileStore;
 use sat3d::raster::{OpenOptions, RasterHeader, RasterReader, TiffReader, open};
 use std::path::Path;
@@ -187,6 +187,46 @@ fn a_world_file_georeferences_the_centre_of_the_first_pixel() {
     }
 }
 
+#[test]
+fn odd_headers_are_read_alike_by_both() {
+    let keys = |point: u16| {
+        let mut keys = KEYS_2927.to_vec();
+        keys[11] = point;
+        Tag::Short(keys)
+    };
+    let scale = |x: f64, y: f64| sound().tag(33550, Tag::Double(vec![x, y, 0.0]));
+    let tie = |tie: &[f64]| sound().tag(33922, Tag::Double(tie.to_vec()));
+    let tied = [10.0, 5.0, 0.0, 1_180_000.3, 840_000.7, 0.0];
+    let nodata = |text: &str| sound().tag(42113, Tag::Ascii(text.to_owned()));
+    let odd = [
+        ("negative pixel height", scale(1.5, -1.5)),
+        ("zero pixel size", scale(0.0, 1.5)),
+        ("tie point inside", tie(&tied)),
+        ("tie point inside, points", tie(&tied).tag(34735, keys(2))),
+        ("two tie points", tie(&[tied, [20.0, 9.0, 0.0, 1.0, 2.0, 0.0]].concat())),
+        ("control points", tie(&[tied, tied, tied].concat()).without(33550)),
+        ("one tie point alone", tie(&tied).without(33550)),
+        ("no tie point", sound().without(33922)),
+        ("nodata with a space", nodata(" -9999 ")),
+        ("nodata as a word", nodata("nan")),
+        ("nodata that is empty", nodata("")),
+        ("nodata in few digits", nodata("-3.40282e+38")),
+        ("nodata beyond floats", nodata("-1.7976931348623157e+308")),
+        ("sample format missing", sound().without(339)),
+        ("rows per strip missing", sound().without(278).tag(257, Tag::Long(vec![10]))),
+    ];
+    for (what, image) in odd {
+        let mut found = headers(image);
+        let nodata: Vec<_> = found.iter().map(|h| h.nodata.map(f64::to_bits)).collect();
+        assert_eq!(nodata[0], nodata[1], "{what}");
+        for header in &mut found {
+            // The temporary file is another time's, NaN is not itself, and names differ.
+            (header.crs, header.nodata, header.modified) = (None, None, (0, 0));
+        }
+        assert_eq!(found[0], found[1], "{what}");
+    }
+}
+
 /// Refused by the pure reader, by name and with what to do.
 fn pure_refuses(image: Image, words: &str) {
     let folder = TempDir::new().unwrap();
@@ -231,9 +271,12 @@ fn a_side_file_that_would_change_the_heights_is_refused_by_the_pure_reader() {
     };
     assert_eq!(refusal("<Metadata><MDI key=\"STATISTICS_MEAN\">7</MDI></Metadata>"), None);
     assert_eq!(refusal("<NoDataValue>-9999</NoDataValue>"), None);
-    for content in
-        ["<NoDataValue>-32767</NoDataValue>", "<Scale>2</Scale>", "<UnitType>ft</UnitType>"]
-    {
+    for content in [
+        "<NoDataValue>-32767</NoDataValue>",
+        "<Scale>2</Scale>",
+        "<UnitType>ft</UnitType>",
+        "<Metadata><MDI key=\"Units\">feet</MDI></Metadata>",
+    ] {
         let message = refusal(content).unwrap();
         assert!(message.contains("tile.tif.aux.xml"), "{message}");
     }

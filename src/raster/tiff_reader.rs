@@ -4,6 +4,7 @@ use super::header::{Found, block_size, check_memory, finish, stat};
 use super::sample::{SampleDecoder, SampleType, UndeclaredNodata};
 use super::tiff_codec::{BandReader, Run, check_supported};
 use super::tiff_directory::{MetadataItem, TiffFile, TiffImage, parse_nodata};
+use super::vertical_unit::is_unit_item;
 use super::{OpenOptions, RasterError, RasterHeader, RasterReader};
 use crate::crs::CrsSpec;
 use crate::grid::GeoTransform;
@@ -315,6 +316,10 @@ fn refuse_side_files(path: &Path, nodata: Option<f64>) -> Result<(), RasterError
         let text = String::from_utf8_lossy(&bytes);
         if let Some(element) = SIDE_FILE_ELEMENTS.iter().find(|element| text.contains(**element)) {
             return refuse(&auxiliary, &format!("changes {}", &element[1..]));
+        }
+        let mut items = text.split("<MDI key=\"").skip(1).filter_map(|rest| rest.split('"').next());
+        if let Some(item) = items.find(|item| is_unit_item(item)) {
+            return refuse(&auxiliary, &format!("states the unit of heights ({item})"));
         }
         // GDAL repeats there a value that lost digits in the raster's own tag.
         let same = |value: &str| {

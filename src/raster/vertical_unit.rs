@@ -47,7 +47,7 @@ pub(super) fn detect(
     let band = (!band_unit.trim().is_empty()).then_some(("the band's unit".to_owned(), band_unit));
     let items = metadata
         .iter()
-        .filter(|(name, _)| METADATA_KEYS.contains(&name.to_ascii_lowercase().as_str()))
+        .filter(|(name, _)| is_unit_item(name))
         .map(|(name, value)| (format!("the metadata item {name}"), value.as_str()));
     for (place, text) in band.into_iter().chain(items) {
         match read_name(text, horizontal) {
@@ -72,6 +72,11 @@ pub(super) fn detect(
         found.unit = Some((unit, evidence));
     }
     found
+}
+
+/// Whether a metadata item of this name states the unit of heights.
+pub(super) fn is_unit_item(name: &str) -> bool {
+    METADATA_KEYS.contains(&name.to_ascii_lowercase().as_str())
 }
 
 /// The unit that `text` names. Bare feet are the feet of the horizontal CRS: surveys in US survey
