@@ -69,7 +69,10 @@ fn a_plane_has_the_light_of_its_normal_everywhere() {
                 if z.is_finite() {
                     let around = [row(y.checked_sub(1)), rows[y], row(Some(y + 1))];
                     let light = Light::new(pixel_m).on(&window(around, x, z));
-                    assert!((light - expected).abs() < 1e-5, "{east} {north} ({x}, {y}): {light} {expected}");
+                    assert!(
+                        (light - expected).abs() < 1e-5,
+                        "{east} {north} ({x}, {y}): {light} {expected}"
+                    );
                 }
             }
         }
@@ -83,7 +86,8 @@ fn walls_towards_the_north_west_are_light_and_those_away_from_it_dark() {
         heights[y * 10 + 3..y * 10 + 7].fill(5.0);
     }
     let picture = draw(&heights, 10, 10, 0.5);
-    let brightness = |x, y| picture.get_pixel(x, y).0[..3].iter().map(|&v| u32::from(v)).sum::<u32>();
+    let brightness =
+        |x, y| picture.get_pixel(x, y).0[..3].iter().map(|&v| u32::from(v)).sum::<u32>();
     let (flat, lit, dark) = (brightness(0, 0), brightness(2, 2), brightness(7, 7));
     assert!(lit > flat && flat > dark, "{lit} {flat} {dark}");
 }
@@ -105,7 +109,10 @@ fn what_has_no_data_is_transparent() {
     assert!(draw(&[f32::NAN; 6], 3, 2, 0.1).pixels().all(|p| p.0 == [0; 4]));
     for (width, height) in [(0, 0), (0, 4), (4, 0)] {
         let picture = draw(&[1.0; 4], width, height, 0.1);
-        assert_eq!((picture.dimensions().0.min(9), picture.get_pixel(0, 0).0), (width.max(1) as u32, [0; 4]));
+        assert_eq!(
+            (picture.dimensions().0.min(9), picture.get_pixel(0, 0).0),
+            (width.max(1) as u32, [0; 4])
+        );
     }
 }
 
