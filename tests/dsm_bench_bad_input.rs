@@ -25,8 +25,9 @@ fn spec() -> GeoTiffSpec {
 }
 
 fn write(path: &Path, spec: &GeoTiffSpec) {
-    let rows: Vec<f32> =
-        (0..spec.width * spec.height).map(|k| 200.0 + ((k * 2_654_435_761_u32) >> 20) as f32 / 64.0).collect();
+    let rows: Vec<f32> = (0..spec.width * spec.height)
+        .map(|k| 200.0 + (k.wrapping_mul(2_654_435_761) >> 20) as f32 / 64.0)
+        .collect();
     let mut writer = GeoTiffWriter::create(path, spec).unwrap();
     writer.write_rows(&rows).unwrap();
     writer.finish().unwrap();
@@ -181,7 +182,7 @@ fn impossible_options_name_themselves() {
     let case = Case::with_good_tile();
     case.refuses(&["--max-nan", "101"], &["--max-nan", "101"]);
     case.refuses(&["--tolerance", "0"], &["--tolerance"]);
-    case.refuses(&["--quantise", "-1"], &["--quantise"]);
+    case.refuses(&["--quantise", "0"], &["--quantise"]);
     case.refuses(&["--shard", "3/2"], &["3/2"]);
     case.refuses(&["--nodata", "abc"], &["abc"]);
     case.refuses(&["--size", "0"], &["--size"]);
@@ -224,7 +225,8 @@ fn an_unwritable_output_and_a_folder_in_use() {
 #[test]
 fn a_full_disk_stops_the_run_and_loses_nothing() {
     let case = Case::with_good_tile();
-    let names: Vec<String> = (0..12).map(|k| format!("satellite_47.5903_{}", -122.3129 + f64::from(k) * 1e-5)).collect();
+    let names: Vec<String> =
+        (0..12).map(|k| format!("satellite_47.5903_{}", -122.3129 + f64::from(k) * 1e-5)).collect();
     fs::write(case.path("names.txt"), names.join("\n")).unwrap();
     let disk = case.path("dsm");
     fs::create_dir(&disk).unwrap();
@@ -238,8 +240,10 @@ fn a_full_disk_stops_the_run_and_loses_nothing() {
         return;
     }
     let full = case.build(&["--max-nan", "100"]).output().unwrap();
-    let first = fs::read_dir(&disk).unwrap().filter_map(Result::ok).filter(|i| i.path().is_file()).count();
-    let remounted = Command::new("mount").args(["-o", "remount,size=64m"]).arg(&disk).status().unwrap();
+    let first =
+        fs::read_dir(&disk).unwrap().filter_map(Result::ok).filter(|i| i.path().is_file()).count();
+    let remounted =
+        Command::new("mount").args(["-o", "remount,size=64m"]).arg(&disk).status().unwrap();
     let again = case.build(&["--max-nan", "100"]).output().unwrap();
     let whole = fs::read_to_string(disk.join("manifest.csv")).unwrap_or_default();
     let unmounted = Command::new("umount").arg(&disk).status().unwrap();

@@ -64,8 +64,9 @@ fn projected(context: &Rc<Context>, spec: &CrsSpec) -> Result<Object, CrsError> 
         (None, None) => {
             return Err(CrsError::Unsupported {
                 name: spec.label(),
-                reason: "it has neither an EPSG code nor a definition; name a CRS with `--crs EPSG:...`"
-                    .to_owned(),
+                reason:
+                    "it has neither an EPSG code nor a definition; name a CRS with `--crs EPSG:...`"
+                        .to_owned(),
             });
         }
     };
@@ -210,7 +211,9 @@ fn pipeline(
                 name: spec.label(),
                 reason: format!(
                     "it lands {:.0} km from where the CRS puts the position {} {}; a pipeline takes longitude and latitude in degrees and gives easting and northing in the CRS's own unit",
-                    apart / 1000.0, at.lon_deg, at.lat_deg
+                    apart / 1000.0,
+                    at.lon_deg,
+                    at.lat_deg
                 ),
             });
         }
@@ -269,7 +272,14 @@ fn measuring_point(options: &ResolveOptions, crs: &Object) -> Option<LonLat> {
 /// A pipeline without the steps that lead from one datum to another.
 fn without_datum_steps(pipeline: &str) -> String {
     const DATUM_STEPS: [&str; 9] = [
-        "push", "pop", "cart", "helmert", "molobadekas", "hgridshift", "vgridshift", "gridshift",
+        "push",
+        "pop",
+        "cart",
+        "helmert",
+        "molobadekas",
+        "hgridshift",
+        "vgridshift",
+        "gridshift",
         "geocent",
     ];
     let is_datum_step = |step: &str| {
@@ -284,7 +294,9 @@ fn without_datum_steps(pipeline: &str) -> String {
 
 /// Whether an operation, as PROJ names it, contains a datum step of this name.
 fn is_step_of(step: &str, operation: &str) -> bool {
-    operation.split(" + ").any(|part| part == step || part.strip_prefix("Inverse of ") == Some(step))
+    operation
+        .split(" + ")
+        .any(|part| part == step || part.strip_prefix("Inverse of ") == Some(step))
 }
 
 fn missing_grids(candidate: &Candidate) -> String {
@@ -349,6 +361,16 @@ fn warnings(
     warnings
 }
 
+/// WKT of a CRS, from whatever PROJ understands.
+pub(super) fn wkt_of(text: &str) -> Result<String, CrsError> {
+    let crs = Context::new(false)?.create(text)?;
+    let is_crs = !matches!(crs.kind(), Kind::Other);
+    crs.wkt().filter(|_| is_crs).ok_or_else(|| CrsError::Proj {
+        action: format!("understand `{text}`"),
+        message: "it is no CRS".to_owned(),
+    })
+}
+
 /// Compares a resolved CRS with PROJ, at the given positions: with PROJ's own form of the same
 /// operation, and with the operation that PROJ picks by itself for the area of the positions.
 ///
@@ -360,10 +382,17 @@ pub fn check_against_proj(
     resolved: &ResolvedCrs,
     points: &[LonLat],
 ) -> Result<CheckReport, CrsError> {
+    compare(&Context::new(false)?, resolved, points)
+}
+
+fn compare(
+    context: &Rc<Context>,
+    resolved: &ResolvedCrs,
+    points: &[LonLat],
+) -> Result<CheckReport, CrsError> {
     let options = ResolveOptions { area: bounds(points), ..ResolveOptions::default() };
-    let context = Context::new(false)?;
-    let crs = projected(&context, &resolved.spec)?;
-    let found = candidates(&context, &crs, &options)?;
+    let crs = projected(context, &resolved.spec)?;
+    let found = candidates(context, &crs, &options)?;
     let usable = || found.iter().filter(|candidate| candidate.usable);
     let Some(default) = usable().find(|c| !c.operation.is_ballpark()).or_else(|| usable().next())
     else {
@@ -372,14 +401,12 @@ pub fn check_against_proj(
             reason: format!("PROJ can run none of {}", listing(&found)),
         });
     };
-    let pipeline_of = |candidate: &Candidate| candidate.operation.normalised()?.pipeline();
     let same = usable().find(|candidate| candidate.operation.name() == resolved.operation.name);
     let same = match same {
-        Some(candidate) => pipeline_of(candidate)?,
-        None => resolved.operation.definition.clone(),
+        Some(candidate) => candidate.operation.normalised()?,
+        None => context.create(&resolved.operation.definition)?,
     };
-    let mut same = Transform::new(&same, false)?;
-    let mut usual = Transform::new(&pipeline_of(default)?, false)?;
+    let usual = default.operation.normalised()?;
     let mut report = CheckReport {
         points: 0,
         same_operation_m: 0.0,
@@ -418,21 +445,4 @@ fn bounds(points: &[LonLat]) -> Option<[f64; 4]> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn datum_steps_are_taken_out_of_a_pipeline() {
-        let with = "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad +step +proj=push +v_3 +step +proj=cart +ellps=WGS84 +step +inv +proj=helmert +x=1 +step +inv +proj=cart +ellps=GRS80 +step +proj=pop +v_3 +step +proj=utm +zone=10";
-        let without = "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad +step +proj=utm +zone=10";
-        assert_eq!(without_datum_steps(with), without);
-        assert_eq!(without_datum_steps(without), without);
-    }
-
-    #[test]
-    fn steps_are_found_in_the_names_of_operations() {
-        let name = "Inverse of NAD83(HARN) to WGS 84 (3) + SPCS83 Washington South zone (US Survey feet)";
-        assert!(is_step_of("NAD83(HARN) to WGS 84 (3)", name));
-        assert!(!is_step_of("NAD83(HARN) to WGS 84", name));
-    }
-}
+mod tests;

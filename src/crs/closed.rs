@@ -97,8 +97,7 @@ impl Projection for ClosedForm {
     }
 
     fn inverse(&self, at: Projected) -> Result<LonLat, CrsError> {
-        let metres =
-            Projected { x: at.x * self.metres_per_unit, y: at.y * self.metres_per_unit };
+        let metres = Projected { x: at.x * self.metres_per_unit, y: at.y * self.metres_per_unit };
         let at = match &self.projector {
             Projector::Conic(conic) => conic.inverse(metres)?,
             Projector::TransverseMercator(mercator) => mercator.inverse(metres)?,
@@ -125,11 +124,9 @@ pub(crate) fn operation_info(
             let base = entry.base.name;
             (format!("Ballpark geographic offset from WGS 84 to {base} + {zone}"), None, None)
         }
-        Chosen::Operation(step) => (
-            format!("Inverse of {} + {zone}", step.name),
-            Some(step.code),
-            Some(step.accuracy_m),
-        ),
+        Chosen::Operation(step) => {
+            (format!("Inverse of {} + {zone}", step.name), Some(step.code), Some(step.accuracy_m))
+        }
     };
     let mut datum_shift_m = 0.0_f64;
     for at in around {
@@ -151,7 +148,9 @@ pub(crate) fn pipeline(entry: &Entry, chosen: Chosen) -> String {
     let ellipsoid = entry.base.ellipsoid.proj_name();
     let mut text = "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad".to_owned();
     if let Chosen::Operation(Operation { step: Step::Helmert(_, parameters), .. }) = chosen {
-        text.push_str(" +step +proj=push +v_3 +step +proj=cart +ellps=WGS84 +step +inv +proj=helmert");
+        text.push_str(
+            " +step +proj=push +v_3 +step +proj=cart +ellps=WGS84 +step +inv +proj=helmert",
+        );
         push_parameters(&mut text, parameters);
         // Writing to a string cannot fail.
         let _ = write!(text, " +step +inv +proj=cart +ellps={ellipsoid} +step +proj=pop +v_3");

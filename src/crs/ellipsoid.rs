@@ -1,5 +1,7 @@
 //! Ellipsoids of revolution and the conformal latitude on them.
 
+use crate::grid::LonLat;
+
 /// An oblate ellipsoid of revolution.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ellipsoid {
@@ -121,6 +123,11 @@ impl Ellipsoid {
         }
         tan
     }
+}
+
+/// Whether a longitude and a latitude are finite and the latitude is one.
+pub(crate) fn on_globe(at: LonLat) -> bool {
+    at.lon_deg.is_finite() && (-90.0..=90.0).contains(&at.lat_deg)
 }
 
 /// `sin(a) - sin(b)` of angles in degrees, to full relative precision.

@@ -261,14 +261,14 @@ impl Object {
 
     /// WKT 2 (2019) of a CRS.
     pub(super) fn wkt(&self) -> Option<String> {
+        self.wkt_as(ffi::PJ_WKT_TYPE_PJ_WKT2_2019)
+    }
+
+    /// WKT of a CRS in one of PROJ's dialects.
+    pub(super) fn wkt_as(&self, dialect: ffi::PJ_WKT_TYPE) -> Option<String> {
         // SAFETY: the object is alive; the string belongs to it and is copied.
         unsafe {
-            text(ffi::proj_as_wkt(
-                self.context(),
-                self.pj.as_ptr(),
-                ffi::PJ_WKT_TYPE_PJ_WKT2_2019,
-                std::ptr::null(),
-            ))
+            text(ffi::proj_as_wkt(self.context(), self.pj.as_ptr(), dialect, std::ptr::null()))
         }
     }
 
@@ -290,10 +290,8 @@ impl Object {
     pub(super) fn is_ballpark(&self) -> bool {
         // SAFETY: the object is alive.
         unsafe {
-            ffi::proj_coordoperation_has_ballpark_transformation(
-                self.context(),
-                self.pj.as_ptr(),
-            ) == 1
+            ffi::proj_coordoperation_has_ballpark_transformation(self.context(), self.pj.as_ptr())
+                == 1
         }
     }
 
@@ -350,6 +348,30 @@ impl Object {
         };
         found.ok_or_else(|| failed("write an operation as a pipeline", &self.context.message()))
     }
+
+    /// Runs an operation, forward or inverse, on a pair of numbers.
+    ///
+    /// # Errors
+    /// PROJ's message where it fails.
+    pub(super) fn run(&self, at: (f64, f64), forward: bool) -> Result<Projected, String> {
+        let direction = if forward { ffi::PJ_DIRECTION_PJ_FWD } else { ffi::PJ_DIRECTION_PJ_INV };
+        let pj = self.pj.as_ptr();
+        // SAFETY: the object is alive, and of this thread as all of its context; all four numbers of the
+        // coordinate are plain `f64` in every variant of the union.
+        let (v, code) = unsafe {
+            ffi::proj_errno_reset(pj);
+            // A time of HUGE_VAL says that there is none.
+            let coordinate = ffi::PJ_COORD { v: [at.0, at.1, 0.0, f64::INFINITY] };
+            let v = ffi::proj_trans(pj, direction, coordinate).v;
+            (v, ffi::proj_errno(pj))
+        };
+        if code == 0 && v[0].is_finite() && v[1].is_finite() {
+            return Ok(Projected { x: v[0], y: v[1] });
+        }
+        // SAFETY: the context is alive; the string is copied.
+        let message = unsafe { text(ffi::proj_context_errno_string(self.context(), code)) };
+        Err(message.filter(|_| code != 0).unwrap_or_else(|| "no result".to_owned()))
+    }
 }
 
 impl Drop for Object {
@@ -379,25 +401,7 @@ impl Transform {
     /// # Errors
     /// PROJ's message where it fails.
     pub(super) fn run(&mut self, at: (f64, f64), forward: bool) -> Result<Projected, String> {
-        let direction =
-            if forward { ffi::PJ_DIRECTION_PJ_FWD } else { ffi::PJ_DIRECTION_PJ_INV };
-        let pj = self.0.pj.as_ptr();
-        // SAFETY: the object is alive and used by this thread alone; all four numbers of the
-        // coordinate are plain `f64` in every variant of the union.
-        let (v, code) = unsafe {
-            ffi::proj_errno_reset(pj);
-            // A time of HUGE_VAL says that there is none.
-            let coordinate = ffi::PJ_COORD { v: [at.0, at.1, 0.0, f64::INFINITY] };
-            let v = ffi::proj_trans(pj, direction, coordinate).v;
-            (v, ffi::proj_errno(pj))
-        };
-        if code == 0 && v[0].is_finite() && v[1].is_finite() {
-            return Ok(Projected { x: v[0], y: v[1] });
-        }
-        // SAFETY: the context is alive; the string is copied.
-        let message =
-            unsafe { text(ffi::proj_context_errno_string(self.0.context(), code)) };
-        Err(message.filter(|_| code != 0).unwrap_or_else(|| "no result".to_owned()))
+        self.0.run(at, forward)
     }
 }
 

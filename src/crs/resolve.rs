@@ -49,11 +49,13 @@ pub fn resolve(spec: &CrsSpec, options: &ResolveOptions) -> Result<ResolvedCrs, 
     }
     let pinned = match options.operation.as_deref() {
         None => None,
-        Some(text) => Some(Pinned::parse(text).ok_or_else(|| CrsError::Operation {
-            operation: text.to_owned(),
-            name: spec.label(),
-            reason: "give an EPSG code of a datum operation (1901), `null`, or a PROJ pipeline"
-                .to_owned(),
+        Some(text) => Some(Pinned::parse(text).ok_or_else(|| {
+            CrsError::Operation {
+                operation: text.to_owned(),
+                name: spec.label(),
+                reason: "give an EPSG code of a datum operation (1901), `null`, or a PROJ pipeline"
+                    .to_owned(),
+            }
         })?),
     };
     match spec.epsg.and_then(table::entry) {
@@ -112,11 +114,8 @@ fn closed_form(
     let area = options.area.map(Area::new);
     let around = area.unwrap_or(entry.area).samples();
     let operation = closed::operation_info(entry, chosen, &form, &around)?;
-    let warnings = if options.without_datum_step {
-        Vec::new()
-    } else {
-        warnings(entry, chosen, pinned, area)
-    };
+    let warnings =
+        if options.without_datum_step { Vec::new() } else { warnings(entry, chosen, pinned, area) };
     Ok(ResolvedCrs {
         spec: CrsSpec {
             name: entry.name.to_owned(),

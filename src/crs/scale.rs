@@ -24,8 +24,8 @@ pub fn scale_factor(resolved: &ResolvedCrs, at: LonLat) -> Result<ScaleFactor, C
     let wgs84 = Ellipsoid::WGS84;
     let north_deg = (STEP_M / wgs84.meridian_radius(at.lat_deg)).to_degrees();
     let east_deg = (STEP_M / wgs84.parallel_radius(at.lat_deg)).to_degrees();
-    // So written that NaN fails too.
-    if !(at.lat_deg.abs() + 2.0 * north_deg < 90.0) {
+    let limit = 90.0 - 2.0 * north_deg;
+    if !(-limit..limit).contains(&at.lat_deg) {
         return Err(CrsError::Domain {
             projection: resolved.spec.name.clone(),
             what: format!("latitude {} (its scale is asked for)", at.lat_deg),
@@ -48,7 +48,8 @@ pub fn scale_factor(resolved: &ResolvedCrs, at: LonLat) -> Result<ScaleFactor, C
 /// ellipsoid.
 pub(crate) fn ground_distance_m(a: LonLat, b: LonLat) -> f64 {
     let lat = 0.5 * (a.lat_deg + b.lat_deg);
-    let east = wrap_degrees(a.lon_deg - b.lon_deg).to_radians() * Ellipsoid::WGS84.parallel_radius(lat);
+    let east =
+        wrap_degrees(a.lon_deg - b.lon_deg).to_radians() * Ellipsoid::WGS84.parallel_radius(lat);
     let north = (a.lat_deg - b.lat_deg).to_radians() * Ellipsoid::WGS84.meridian_radius(lat);
     libm::hypot(east, north)
 }

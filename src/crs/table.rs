@@ -151,8 +151,8 @@ impl Method {
                 Self::Conic2 { lat_0: p, lon_0: l, lat_1: a, lat_2: b, x_0: x, y_0: y },
             ) => {
                 // Either parallel may be called the first.
-                let parallels = (angle(lat_1, a) && angle(lat_2, b))
-                    || (angle(lat_1, b) && angle(lat_2, a));
+                let parallels =
+                    (angle(lat_1, a) && angle(lat_2, b)) || (angle(lat_1, b) && angle(lat_2, a));
                 parallels && angle(lat_0, p) && angle(lon_0, l) && length(x_0, x) && length(y_0, y)
             }
             _ => false,
@@ -321,6 +321,13 @@ pub(crate) fn operation(code: u32) -> Option<&'static Operation> {
 /// EPSG codes of every CRS that the closed forms serve, ascending.
 pub fn closed_form_codes() -> impl Iterator<Item = u32> {
     ENTRIES.iter().map(|entry| entry.code)
+}
+
+/// Area of use of a CRS of the table: west, south, east, north, degrees; west above east crosses the
+/// antimeridian.
+#[must_use]
+pub fn area_of_use(epsg: u32) -> Option<[f64; 4]> {
+    entry(epsg).map(|entry| entry.area.bounds())
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! Preparing and running a benchmark build.
 
+use super::BenchError;
 use super::images::ImageEntry;
 use super::item::{Product, Workshop};
 use super::journal::{FolderLock, Header, Journal, Journals};
@@ -9,7 +10,6 @@ use super::plan::{self, Budget};
 use super::record::Record;
 use super::tiles::TileSet;
 use super::writer::{WRITERS, keep_records, write_products};
-use super::BenchError;
 use crate::batch::{ExitCode, Interrupt, Progress, Status};
 use crate::grid::ImageGrid;
 use crate::lidar::{FitErrors, PixelMap, PixelToCrs, TransformForm};
@@ -110,16 +110,25 @@ pub fn prepare(options: BuildOptions) -> Result<Prepared, BenchError> {
             "--geotiff writes Web-Mercator grids, and --grid reference is none; leave one of them out".into(),
         ));
     }
-    if !(options.tolerance_m > 0.0) {
-        return Err(BenchError::Input(format!("--tolerance {}: must be above 0 (metres)", options.tolerance_m)));
+    if options.tolerance_m.is_nan() || options.tolerance_m <= 0.0 {
+        return Err(BenchError::Input(format!(
+            "--tolerance {}: must be above 0 (metres)",
+            options.tolerance_m
+        )));
     }
     if !(0.0..=100.0).contains(&options.max_nan_pct) {
-        return Err(BenchError::Input(format!("--max-nan {}: must be 0 to 100 (per cent)", options.max_nan_pct)));
+        return Err(BenchError::Input(format!(
+            "--max-nan {}: must be 0 to 100 (per cent)",
+            options.max_nan_pct
+        )));
     }
     if let Some(q) = options.quantise
         && !(q.step_m > 0.0 && q.step_m < 10.0)
     {
-        return Err(BenchError::Input(format!("--quantise {}: must be above 0 and below 10 (metres)", q.step_m)));
+        return Err(BenchError::Input(format!(
+            "--quantise {}: must be above 0 and below 10 (metres)",
+            q.step_m
+        )));
     }
     let images = scheduled(options.images.list()?);
     // The phase step of 27 nm counts against the tolerance; a tighter one gets a finer step.
@@ -158,7 +167,9 @@ fn scheduled(mut images: Vec<ImageEntry>) -> Vec<ImageEntry> {
     images.sort_by_cached_key(|entry| {
         let key = entry.name.as_ref().map_or(u64::MAX, |name| {
             let c = name.center();
-            let cell = |v: f64, span: f64| (((v / span + 0.5) * f64::from(1 << 30)) as u32).min((1 << 30) - 1);
+            let cell = |v: f64, span: f64| {
+                (((v / span + 0.5) * f64::from(1 << 30)) as u32).min((1 << 30) - 1)
+            };
             hilbert(cell(c.lon_deg, 360.0), cell(c.lat_deg, 180.0))
         });
         (key, entry.stem.clone())
@@ -249,15 +260,20 @@ impl Prepared {
         if self.options.shard.is_whole() {
             remove_leftovers(out);
         }
-        let workshop =
-            Workshop { options: &self.options, budget: self.budget, dsm: &self.dsm, dtm: self.dtm.as_ref() };
+        let workshop = Workshop {
+            options: &self.options,
+            budget: self.budget,
+            dsm: &self.dsm,
+            dtm: self.dtm.as_ref(),
+        };
         let mine = &self.images[self.options.shard.range(self.images.len())];
         let (kept, todo) = self.sort_out(mine, earlier, &workshop);
         let progress = Progress::new("building", "images", todo.len(), self.options.quiet);
         let mut records = kept;
         let kept_count = records.iter().filter(|r| r.status == Status::Done).count();
         let disk = Interrupt::default();
-        let result = self.work(&workshop, &todo, &mut journal, &progress, stop, &disk, &mut records);
+        let result =
+            self.work(&workshop, &todo, &mut journal, &progress, stop, &disk, &mut records);
         let seconds = progress.finish();
         result?;
         let mut summary = summarise(&records, mine.len());
@@ -273,7 +289,8 @@ impl Prepared {
             .map(|bad| bad.reason.clone())
             .collect();
         let cache = self.dsm.store().statistics();
-        (summary.blocks_decoded, summary.blocks_distinct) = (cache.blocks_decoded, cache.blocks_distinct);
+        (summary.blocks_decoded, summary.blocks_distinct) =
+            (cache.blocks_decoded, cache.blocks_distinct);
         if summary.not_started == 0 {
             journal.complete(self.options.shard, self.images.len() as u64)?;
             if self.options.shard.is_whole() {
@@ -309,9 +326,12 @@ impl Prepared {
             && record.outputs.iter().all(|output| {
                 let path = self.options.out.join(&output.file);
                 match self.options.verify {
-                    Verify::Quick => std::fs::metadata(&path).is_ok_and(|m| m.len() == output.bytes),
-                    Verify::Hashes => std::fs::read(&path)
-                        .is_ok_and(|bytes| crate::plan::hex(&Sha256::digest(bytes)) == output.sha256),
+                    Verify::Quick => {
+                        std::fs::metadata(&path).is_ok_and(|m| m.len() == output.bytes)
+                    }
+                    Verify::Hashes => std::fs::read(&path).is_ok_and(|bytes| {
+                        crate::plan::hex(&Sha256::digest(bytes)) == output.sha256
+                    }),
                 }
             })
     }
@@ -345,7 +365,9 @@ impl Prepared {
                 let next = &next;
                 scope.spawn(move || {
                     while !stop.requested() && !disk.requested() {
-                        let Some(entry) = todo.get(next.fetch_add(1, Ordering::Relaxed)) else { return };
+                        let Some(entry) = todo.get(next.fetch_add(1, Ordering::Relaxed)) else {
+                            return;
+                        };
                         if products.send(workshop.build(entry)).is_err() {
                             return;
                         }
@@ -368,7 +390,9 @@ fn summarise(records: &[Record], images: usize) -> RunSummary {
     let count = |status| records.iter().filter(|r| r.status == status).count();
     let mut reasons: HashMap<String, usize> = HashMap::new();
     for record in records.iter().filter(|r| r.status != Status::Done) {
-        *reasons.entry(format!("{}: {}", record.status.name(), generic(&record.reason))).or_default() += 1;
+        *reasons
+            .entry(format!("{}: {}", record.status.name(), generic(&record.reason)))
+            .or_default() += 1;
     }
     let mut reasons: Vec<(String, usize)> = reasons.into_iter().collect();
     reasons.sort_by(|a, b| b.1.cmp(&a.1).then_with(|| a.0.cmp(&b.0)));
@@ -378,7 +402,10 @@ fn summarise(records: &[Record], images: usize) -> RunSummary {
         skipped: count(Status::Skipped),
         failed: count(Status::Failed),
         not_started: images - records.len(),
-        rescued_by_mosaic: records.iter().filter(|r| r.reason.contains("--coverage mosaic would leave")).count(),
+        rescued_by_mosaic: records
+            .iter()
+            .filter(|r| r.reason.contains("--coverage mosaic would leave"))
+            .count(),
         reasons,
         flagged: records.iter().filter(|r| !r.flags.is_empty()).count(),
         uncertain_px: records.iter().filter_map(|r| r.uncertain_px).sum(),
@@ -435,7 +462,11 @@ mod tests {
 
     #[test]
     fn reasons_of_one_cause_are_counted_together() {
-        let reason = |pct: f64| format!("{pct:.2} % of the pixels have no data, more than 5 %; --coverage mosaic would leave 1.00 %");
+        let reason = |pct: f64| {
+            format!(
+                "{pct:.2} % of the pixels have no data, more than 5 %; --coverage mosaic would leave 1.00 %"
+            )
+        };
         let record = |pct| Record::without_output("x", Status::Skipped, reason(pct));
         let summary = summarise(&[record(7.0), record(9.5)], 3);
         assert_eq!(summary.reasons.len(), 1);

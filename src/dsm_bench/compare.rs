@@ -159,6 +159,7 @@ pub fn compare(dsm: &Path, truth: &Path) -> Result<Comparison, CompareError> {
 
 fn array(path: &Path, key: &str) -> Result<Vec<f64>, CompareError> {
     let found = npz::read(path)?.into_iter().find(|(name, _)| name == key);
-    let missing = || CompareError::Mismatch { path: path.to_owned(), what: format!("no array `{key}`") };
+    let missing =
+        || CompareError::Mismatch { path: path.to_owned(), what: format!("no array `{key}`") };
     Ok(found.ok_or_else(missing)?.1.to_f64())
 }

@@ -67,7 +67,8 @@ fn from_list(path: &Path) -> Result<Vec<ImageEntry>, BenchError> {
             // A label line begins with the panorama; its images carry the name we look for.
             let mut fields = line.split_whitespace();
             let first = fields.next()?;
-            let file_name = |field: &str| field.rsplit(['/', '\\']).next().unwrap_or(field).to_owned();
+            let file_name =
+                |field: &str| field.rsplit(['/', '\\']).next().unwrap_or(field).to_owned();
             let name = std::iter::once(first)
                 .chain(fields)
                 .map(file_name)
@@ -129,8 +130,12 @@ mod tests {
             "\u{feff}satellite_47.1_-122.1.png\r\n\n# a comment\nSeattle/satellite/satellite_47.2_-122.2.png Seattle/panorama/p.jpg m 1 2\npano,1,2,.jpg satellite_47.3_-122.3.png 1 2\nsatellite_47.1_-122.1.png\nrubbish",
         )
         .expect("writes");
-        let stems: Vec<_> =
-            ImageSource::List(list).list().expect("lists").into_iter().map(|e| (e.stem, e.name.is_ok())).collect();
+        let stems: Vec<_> = ImageSource::List(list)
+            .list()
+            .expect("lists")
+            .into_iter()
+            .map(|e| (e.stem, e.name.is_ok()))
+            .collect();
         let expected = [
             ("satellite_47.1_-122.1", true),
             ("satellite_47.2_-122.2", true),

@@ -9,7 +9,8 @@ use super::{Coverage, ImageEntry};
 use crate::batch::Status;
 use crate::grid::{ImageGrid, PixelPoint};
 use crate::lidar::{
-    PixelMap, PixelToCrs, TransformForm, WarpError, WarpSettings, WarpStatistics, WindowSource, warp,
+    PixelMap, PixelToCrs, TransformForm, WarpError, WarpSettings, WarpStatistics, WindowSource,
+    warp,
 };
 use crate::raster::geotiff::{CogSpec, encode_cog};
 use crate::raster::npz::{self, Compression, NpyArray, NpyData};
@@ -119,8 +120,10 @@ impl Workshop<'_> {
         record.transform = Some(warped.form.name().to_owned());
         record.transform_bound_m = Some(warped.bound_m);
         if missing > self.options.max_nan_pct {
-            let mut reason =
-                format!("{missing:.2} % of the pixels have no data, more than {} %", self.options.max_nan_pct);
+            let mut reason = format!(
+                "{missing:.2} % of the pixels have no data, more than {} %",
+                self.options.max_nan_pct
+            );
             if self.options.coverage == Coverage::BestTile && candidates.len() > 1 {
                 let layers = self.dsm.regrouped(&candidates, Coverage::Mosaic);
                 let mosaic = self.cover(&grid, self.dsm, layers, Coverage::Mosaic, false)?;
@@ -132,7 +135,8 @@ impl Workshop<'_> {
             }
             return Err(NoDsm(Status::Skipped, reason));
         }
-        record.tiles = warped.tiles.iter().map(|&tile| self.dsm.tiles()[tile].file_name()).collect();
+        record.tiles =
+            warped.tiles.iter().map(|&tile| self.dsm.tiles()[tile].file_name()).collect();
         record.uncertain_px = Some(warped.uncertain);
         let mut heights = warped.heights;
         self.quantise(&mut heights);
@@ -150,7 +154,9 @@ impl Workshop<'_> {
             .and_then(image::ImageReader::with_guessed_format)
             .map_err(|error| failed(format!("{}: {error}", file.display())))?
             .into_dimensions()
-            .map_err(|error| failed(format!("{}: not a readable image: {error}", file.display())))?;
+            .map_err(|error| {
+                failed(format!("{}: not a readable image: {error}", file.display()))
+            })?;
         if (width, height) != (self.options.size, self.options.size) {
             return Err(failed(format!(
                 "{}: the image is {width} x {height} pixels, the grid {size} x {size}; say --size if all images have another size",
@@ -173,7 +179,9 @@ impl Workshop<'_> {
         let mut first_crs = None;
         for layer in layers {
             // The reference grid is a box in the CRS of the first candidate; others cannot share it.
-            if self.options.grid == GridKind::Reference && *first_crs.get_or_insert(layer.crs) != layer.crs {
+            if self.options.grid == GridKind::Reference
+                && *first_crs.get_or_insert(layer.crs) != layer.crs
+            {
                 continue;
             }
             let (map, form) = self.map(grid, tiles, &layer)?;
@@ -229,13 +237,23 @@ impl Workshop<'_> {
         }
     }
 
-    fn warp_one(&self, tiles: &TileSet, candidate: &Candidate<'_>, ids: bool) -> Result<Warped, WarpError> {
+    fn warp_one(
+        &self,
+        tiles: &TileSet,
+        candidate: &Candidate<'_>,
+        ids: bool,
+    ) -> Result<Warped, WarpError> {
         let pixels = self.options.size as usize * self.options.size as usize;
         let mut heights = vec![f32::NAN; pixels];
         let mut tile_ids = ids.then(|| vec![u16::MAX; pixels]);
         let settings = self.settings(tiles, &candidate.layer);
-        let statistics =
-            warp(&candidate.map, &candidate.layer, &settings, &mut heights, tile_ids.as_deref_mut())?;
+        let statistics = warp(
+            &candidate.map,
+            &candidate.layer,
+            &settings,
+            &mut heights,
+            tile_ids.as_deref_mut(),
+        )?;
         let crs = &tiles.crs[candidate.layer.crs];
         let WarpStatistics { valid, uncertain, steepest } = statistics;
         Ok(Warped {
@@ -353,24 +371,10 @@ impl Workshop<'_> {
     }
 
     fn describe(&self, record: &mut Record, heights: &[f32], steepest: f64, transform_m: f64) {
-        let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
-        // Means of rows, then the mean of those by valid count: f64 throughout, in a fixed order.
-        let (mut sum, mut count) = (0.0_f64, 0_u64);
-        for row in heights.chunks(self.options.size as usize) {
-            let mut row_sum = 0.0_f64;
-            for &height in row {
-                if !height.is_nan() {
-                    low = low.min(height);
-                    high = high.max(height);
-                    row_sum += f64::from(height);
-                    count += 1;
-                }
-            }
-            sum += row_sum;
-        }
+        let Extent { low, high, mean } = Extent::of(heights);
         record.min_m = Some(f64::from(low));
         record.max_m = Some(f64::from(high));
-        record.mean_m = Some(sum / count as f64);
+        record.mean_m = Some(mean);
         record.steepest = Some(steepest);
         // What one image can lose: every horizontal bound times the steepest source gradient.
         record.height_bound_m = self.options.resampling.slope_factor().map(|factor| {
@@ -423,13 +427,15 @@ impl Workshop<'_> {
                 vertical_epsg: self.options.vertical_crs,
                 unit: Some(LinearUnit::Metre),
                 metadata,
-                ..CogSpec::default()
             };
             files.push((format!("{stem}_dsm.tif"), encode_cog(heights, &spec)));
         }
         if self.options.preview {
             let pixel = grid.ground_sample_distance();
-            files.push((format!("{stem}_dsm.png"), preview::hillshade_png(heights, size, size, pixel)));
+            files.push((
+                format!("{stem}_dsm.png"),
+                preview::hillshade_png(heights, size, size, pixel),
+            ));
         }
     }
 
@@ -442,8 +448,41 @@ impl Workshop<'_> {
         let stated = self.dsm.crs.iter().find_map(|crs| crs.spec.vertical.as_ref());
         match (self.options.vertical_crs, stated) {
             (Some(code), _) => format!("EPSG:{code}"),
-            (None, Some(vertical)) => format!("as the lidar tiles: {} (converted to metres)", vertical.name),
+            (None, Some(vertical)) => {
+                format!("as the lidar tiles: {} (converted to metres)", vertical.name)
+            }
             (None, None) => "as the lidar tiles, which do not name it".to_owned(),
+        }
+    }
+}
+
+/// Lowest, highest and mean height over the valid pixels.
+struct Extent {
+    low: f32,
+    high: f32,
+    mean: f64,
+}
+
+impl Extent {
+    /// In `f64` over eight interleaved lanes, merged in order: the same result on every machine, and
+    /// no addition waits for the one before.
+    fn of(heights: &[f32]) -> Self {
+        const LANES: usize = 8;
+        let (mut low, mut high) = ([f32::INFINITY; LANES], [f32::NEG_INFINITY; LANES]);
+        let (mut sum, mut count) = ([0.0_f64; LANES], [0_u32; LANES]);
+        for group in heights.chunks(LANES) {
+            for (lane, &height) in group.iter().enumerate() {
+                // Comparisons with NaN are false, so that an empty pixel changes nothing.
+                low[lane] = if height < low[lane] { height } else { low[lane] };
+                high[lane] = if height > high[lane] { height } else { high[lane] };
+                sum[lane] += if height.is_nan() { 0.0 } else { f64::from(height) };
+                count[lane] += u32::from(!height.is_nan());
+            }
+        }
+        Self {
+            low: low.into_iter().fold(f32::INFINITY, f32::min),
+            high: high.into_iter().fold(f32::NEG_INFINITY, f32::max),
+            mean: sum.iter().sum::<f64>() / f64::from(count.iter().sum::<u32>()),
         }
     }
 }
@@ -476,9 +515,12 @@ fn most_pixels(
     let (mut cols, mut rows) = (Vec::new(), Vec::new());
     let mut most = 0;
     for y in 0..height {
+        cols.clear();
+        rows.clear();
         map.fill_row(y, 0..width, 0.5, &mut cols, &mut rows)?;
         let points = cols.iter().zip(&rows);
-        most += points.filter(|&(&x, &y)| extent.contains(PixelPoint { x, y }, -1.0)).count() as u64;
+        most +=
+            points.filter(|&(&x, &y)| extent.contains(PixelPoint { x, y }, -1.0)).count() as u64;
     }
     Ok(most.min(all))
 }

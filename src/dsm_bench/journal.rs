@@ -240,7 +240,10 @@ impl FolderLock {
             Err(TryLockError::WouldBlock) => Err(JournalError::Locked { path: out.to_owned() }),
             Err(TryLockError::Error(source)) => {
                 // Some network file systems have no locks; the user is told and goes on alone.
-                tracing::warn!("{}: cannot lock ({source}); do not start two runs here", path.display());
+                tracing::warn!(
+                    "{}: cannot lock ({source}); do not start two runs here",
+                    path.display()
+                );
                 Ok(())
             }
         };
@@ -370,7 +373,9 @@ mod tests {
         let (mut journal, earlier) =
             Journal::open(out.path(), Shard::WHOLE, &header(20), false).expect("opens");
         assert!(earlier.records.is_empty());
-        journal.record(vec![record("a", Status::Done), record("b", Status::Failed)]).expect("records");
+        journal
+            .record(vec![record("a", Status::Done), record("b", Status::Failed)])
+            .expect("records");
         let path = journal.path.clone();
         drop(journal);
         let mut bytes = std::fs::read(&path).expect("reads");
@@ -390,11 +395,14 @@ mod tests {
     fn another_plan_is_refused_with_the_difference_and_overwrite_starts_anew() {
         let out = tempfile::tempdir().expect("folder");
         let _lock = FolderLock::take(out.path(), Shard::WHOLE).expect("locks");
-        let (mut journal, _) = Journal::open(out.path(), Shard::WHOLE, &header(20), false).expect("opens");
+        let (mut journal, _) =
+            Journal::open(out.path(), Shard::WHOLE, &header(20), false).expect("opens");
         journal.record(vec![record("a", Status::Done)]).expect("records");
-        let error = Journal::open(out.path(), Shard::WHOLE, &header(19), false).expect_err("refuses");
+        let error =
+            Journal::open(out.path(), Shard::WHOLE, &header(19), false).expect_err("refuses");
         assert!(error.to_string().contains("zoom: 20 there, 19 now"), "{error}");
-        let (_, earlier) = Journal::open(out.path(), Shard::WHOLE, &header(19), true).expect("opens");
+        let (_, earlier) =
+            Journal::open(out.path(), Shard::WHOLE, &header(19), true).expect("opens");
         assert!(earlier.records.is_empty());
     }
 
@@ -405,7 +413,10 @@ mod tests {
         let first = FolderLock::take(out.path(), shard(1)).expect("locks");
         let second = FolderLock::take(out.path(), shard(2)).expect("locks");
         assert!(matches!(FolderLock::take(out.path(), shard(1)), Err(JournalError::Locked { .. })));
-        assert!(matches!(FolderLock::take(out.path(), Shard::WHOLE), Err(JournalError::Locked { .. })));
+        assert!(matches!(
+            FolderLock::take(out.path(), Shard::WHOLE),
+            Err(JournalError::Locked { .. })
+        ));
         drop((first, second));
         FolderLock::take(out.path(), Shard::WHOLE).expect("locks");
     }
@@ -416,7 +427,8 @@ mod tests {
         for index in [1, 3] {
             let shard = Shard { index, count: 3 };
             let _lock = FolderLock::take(out.path(), shard).expect("locks");
-            let (mut journal, _) = Journal::open(out.path(), shard, &header(20), false).expect("opens");
+            let (mut journal, _) =
+                Journal::open(out.path(), shard, &header(20), false).expect("opens");
             journal.complete(shard, 9).expect("completes");
         }
         let error = Journals::read(out.path()).expect("reads").check_complete(out.path());

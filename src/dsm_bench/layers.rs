@@ -49,7 +49,10 @@ impl Layer {
             };
             match joined {
                 Some(layer) => layer.tiles.push(number),
-                None => layers.push(Self { crs: tile.crs, lattice: tile.lattice, tiles: vec![number] }),
+                None => {
+                    let tiles = vec![number];
+                    layers.push(Self { crs: tile.crs, lattice: tile.lattice, tiles });
+                }
             }
         }
         layers

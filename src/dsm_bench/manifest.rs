@@ -120,8 +120,11 @@ fn table_error(error: TableError) -> BenchError {
 }
 
 fn write_json(path: &Path, value: &Value) -> Result<(), BenchError> {
-    let mut bytes = serde_json::to_vec_pretty(value)
-        .map_err(|error| BenchError::Io { action: "write", path: path.to_owned(), source: error.into() })?;
+    let mut bytes = serde_json::to_vec_pretty(value).map_err(|error| BenchError::Io {
+        action: "write",
+        path: path.to_owned(),
+        source: error.into(),
+    })?;
     bytes.push(b'\n');
     write_atomic(path, &bytes).map_err(BenchError::io("write", path))
 }
@@ -174,7 +177,11 @@ fn table(records: &[Record]) -> Result<Table, TableError> {
             "Tiles whose outline meets the image",
             records.iter().map(|r| Some(r.candidates as i64)),
         ),
-        Column::text("tiles", "Tiles that gave pixels, by ;", records.iter().map(|r| r.tiles.join(";"))),
+        Column::text(
+            "tiles",
+            "Tiles that gave pixels, by ;",
+            records.iter().map(|r| r.tiles.join(";")),
+        ),
         Column::text(
             "transform",
             "Form of the transform: affine, separable, chebyshev or exact",
@@ -214,7 +221,11 @@ fn table(records: &[Record]) -> Result<Table, TableError> {
             "The DSM, relative to the manifest",
             records.iter().map(|r| npz(r).map_or_else(String::new, |o| o.file)),
         ),
-        Column::i64("bytes", "Size of the DSM", records.iter().map(|r| npz(r).map(|o| o.bytes as i64))),
+        Column::i64(
+            "bytes",
+            "Size of the DSM",
+            records.iter().map(|r| npz(r).map(|o| o.bytes as i64)),
+        ),
         Column::text(
             "sha256",
             "SHA-256 of the DSM",

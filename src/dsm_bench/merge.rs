@@ -21,9 +21,8 @@ pub fn merge(out: &Path, parts: &[PathBuf], stac: bool) -> Result<RunSummary, Be
     let mut header: Option<Header> = None;
     let mut records: BTreeMap<String, Record> = BTreeMap::new();
     let mut all = Journals::default();
-    let same_place = |part: &Path| {
-        matches!((part.canonicalize(), out.canonicalize()), (Ok(a), Ok(b)) if a == b)
-    };
+    let same_place =
+        |part: &Path| matches!((part.canonicalize(), out.canonicalize()), (Ok(a), Ok(b)) if a == b);
     let others = parts.iter().map(PathBuf::as_path).filter(|part| !same_place(part));
     for folder in std::iter::once(out).chain(others) {
         let journals = Journals::read(folder)?;

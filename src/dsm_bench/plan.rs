@@ -42,7 +42,8 @@ pub fn resolve(options: &BuildOptions, tiles: &TileSet) -> (Plan, Budget) {
         cause: "corners of tiles cut from one raster differ by rounding".into(),
         reason: "tiles on one lattice get the same coordinates to the last bit".into(),
     });
-    let before: f64 = steps.iter().filter(|s| s.id != Plan::OPERATION).map(|s| s.bound.horizontal_m).sum();
+    let before: f64 =
+        steps.iter().filter(|s| s.id != Plan::OPERATION).map(|s| s.bound.horizontal_m).sum();
     let transform_m = (options.tolerance_m - before).max(0.0);
     steps.push(transform_step(options, transform_m));
     steps.push(unit_step(tiles));
@@ -56,7 +57,9 @@ pub fn resolve(options: &BuildOptions, tiles: &TileSet) -> (Plan, Budget) {
         bound: Bound::vertical(STATED_HEIGHT_M * f64::from(f32::EPSILON) / 2.0),
         cost: "none".into(),
         cause: "numpy and GDAL read f32".into(),
-        reason: format!("interpolation is f64, rounded once (bound for heights under {STATED_HEIGHT_M} m)"),
+        reason: format!(
+            "interpolation is f64, rounded once (bound for heights under {STATED_HEIGHT_M} m)"
+        ),
     });
     let plan = Plan {
         command: "dsm-bench build".into(),
@@ -80,12 +83,16 @@ fn operation_steps(options: &BuildOptions, tiles: &TileSet, steps: &mut Vec<Step
             cost: "none".into(),
             cause: format!("how well {} is tied to WGS 84", crs.spec.name),
             reason: match operation.accuracy_m {
-                Some(_) => format!("stated by the authority for \"{}\"; no program can do better", operation.name),
+                Some(_) => format!(
+                    "stated by the authority for \"{}\"; no program can do better",
+                    operation.name
+                ),
                 None => format!("\"{}\" states no accuracy", operation.name),
             },
         });
         let shift = operation.datum_shift_m;
-        let left_out = shift > 0.0 && 1.05 * shift < options.tolerance_m && options.operation.is_none();
+        let left_out =
+            shift > 0.0 && 1.05 * shift < options.tolerance_m && options.operation.is_none();
         steps.push(Step {
             id: "datum".into(),
             on: shift > 0.0 && !left_out,
@@ -153,7 +160,9 @@ fn unit_step(tiles: &TileSet) -> Step {
     let names: Vec<String> = tiles
         .crs
         .iter()
-        .map(|crs| crs.spec.linear_unit.map_or_else(|| "unknown unit".to_owned(), |u| u.name().to_owned()))
+        .map(|crs| {
+            crs.spec.linear_unit.map_or_else(|| "unknown unit".to_owned(), |u| u.name().to_owned())
+        })
         .collect();
     Step {
         id: "horizontal-unit".into(),
@@ -162,7 +171,11 @@ fn unit_step(tiles: &TileSet) -> Step {
         bound: Bound::EXACT,
         cost: "none".into(),
         cause: "coordinates of the tiles in feet".into(),
-        reason: if feet { "pixel coordinates in the tiles' own unit".into() } else { "already metres".into() },
+        reason: if feet {
+            "pixel coordinates in the tiles' own unit".into()
+        } else {
+            "already metres".into()
+        },
     }
 }
 
@@ -180,7 +193,8 @@ fn kernel_step(options: &BuildOptions) -> Step {
         bound: Bound::EXACT,
         cost: cost.into(),
         cause: "image pixels do not coincide with lidar cells".into(),
-        reason: "GDAL's rule; widened by the ratio where the image is coarser than the tiles".into(),
+        reason: "GDAL's rule; widened by the ratio where the image is coarser than the tiles"
+            .into(),
     }
 }
 

@@ -69,9 +69,13 @@ impl TileSet {
     ///
     /// # Errors
     /// No usable tile; tiles that disagree about the vertical unit; an operation that cannot be had.
-    pub fn open(inputs: &[PathBuf], options: &BuildOptions, phase_bits: u32) -> Result<Self, BenchError> {
+    pub fn open(
+        inputs: &[PathBuf],
+        options: &BuildOptions,
+        phase_bits: u32,
+    ) -> Result<Self, BenchError> {
         let paths = list_tiles(inputs)?;
-        let open = OpenOptions { nodata: options.nodata, memory_limit: options.memory, ..OpenOptions::default() };
+        let open = OpenOptions { nodata: options.nodata, memory_limit: options.memory };
         let mut store = TileStore::new(options.memory, open);
         let crs_override = options
             .crs
@@ -93,10 +97,18 @@ impl TileSet {
             }
         }
         if tiles.is_empty() {
-            let reasons: Vec<String> = bad.iter().take(5).map(|b| format!("\n  {}", b.reason)).collect();
-            return Err(BenchError::Input(format!("none of the {} lidar tiles can be used:{}", bad.len(), reasons.concat())));
+            let reasons: Vec<String> =
+                bad.iter().take(5).map(|b| format!("\n  {}", b.reason)).collect();
+            return Err(BenchError::Input(format!(
+                "none of the {} lidar tiles can be used:{}",
+                bad.len(),
+                reasons.concat()
+            )));
         }
-        let unit = vertical_unit(tiles.iter().map(|t| (store.header(t.stored), &found.crs[t.crs].spec)), options)?;
+        let unit = vertical_unit(
+            tiles.iter().map(|t| (store.header(t.stored), &found.crs[t.crs].spec)),
+            options,
+        )?;
         let mut warnings = unit.warnings;
         for crs in &found.crs {
             warnings.extend(crs.warnings.iter().cloned());
@@ -108,9 +120,13 @@ impl TileSet {
         }
         let mut footprints = Vec::new();
         for (number, tile) in tiles.iter().enumerate() {
-            let footprint =
-                TileFootprint::new(number, &tile.lattice, tile.window, &*found.crs[tile.crs].projection)
-                    .map_err(|source| BenchError::Crs { path: tile.path.clone(), source })?;
+            let footprint = TileFootprint::new(
+                number,
+                &tile.lattice,
+                tile.window,
+                &*found.crs[tile.crs].projection,
+            )
+            .map_err(|source| BenchError::Crs { path: tile.path.clone(), source })?;
             footprints.push(footprint);
         }
         let layers = Layer::group(&tiles, options.coverage);
@@ -170,7 +186,11 @@ impl TileSet {
     }
 
     /// Each candidate by itself, or joined by lattice, whatever the run's coverage rule is.
-    pub(super) fn regrouped(&self, candidates: &[usize], coverage: Coverage) -> Vec<LayerSource<'_>> {
+    pub(super) fn regrouped(
+        &self,
+        candidates: &[usize],
+        coverage: Coverage,
+    ) -> Vec<LayerSource<'_>> {
         let layers = Layer::group(&self.tiles, coverage);
         LayerSource::of_candidates(&layers, candidates, &self.tiles, &self.store)
     }
@@ -225,14 +245,21 @@ impl Found {
                 self.crs.len() - 1
             }
         };
-        let (lattice, col, row) = Lattice::of(&header.geotransform, phase_bits)
-            .ok_or_else(|| BenchError::Input(format!("{}: the raster is rotated", header.path.display())))?;
+        let (lattice, col, row) =
+            Lattice::of(&header.geotransform, phase_bits).ok_or_else(|| {
+                BenchError::Input(format!("{}: the raster is rotated", header.path.display()))
+            })?;
         Ok(Tile {
             path: header.path.clone(),
             stored,
             crs,
             lattice,
-            window: LatticeWindow { col, row, width: header.width as usize, height: header.height as usize },
+            window: LatticeWindow {
+                col,
+                row,
+                width: header.width as usize,
+                height: header.height as usize,
+            },
         })
     }
 }
@@ -253,7 +280,11 @@ fn same_horizontal(a: &CrsSpec, b: &CrsSpec) -> bool {
 }
 
 /// Resolves a CRS for the area of the first tile that has it: one operation per CRS and run.
-fn resolve_for(header: &RasterHeader, spec: &CrsSpec, options: &BuildOptions) -> Result<ResolvedCrs, CrsError> {
+fn resolve_for(
+    header: &RasterHeader,
+    spec: &CrsSpec,
+    options: &BuildOptions,
+) -> Result<ResolvedCrs, CrsError> {
     let mut asked = ResolveOptions {
         operation: options.operation.clone(),
         proj_network: options.proj_network,
@@ -297,7 +328,12 @@ fn vertical_unit<'a>(
     options: &BuildOptions,
 ) -> Result<VerticalUnit, BenchError> {
     if let Some(unit) = options.vertical_unit {
-        return Ok(VerticalUnit { unit, evidence: "--vertical-unit".into(), assumed: false, warnings: vec![] });
+        return Ok(VerticalUnit {
+            unit,
+            evidence: "--vertical-unit".into(),
+            assumed: false,
+            warnings: vec![],
+        });
     }
     let mut first: Option<(LinearUnit, String, bool, String)> = None;
     for (header, crs) in tiles {

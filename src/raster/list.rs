@@ -119,6 +119,7 @@ fn take_number<'a>(text: &mut &'a [u8]) -> &'a [u8] {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test may fail")]
 mod tests {
     use super::*;
     use proptest::prelude::*;

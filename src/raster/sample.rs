@@ -35,6 +35,7 @@ impl SampleType {
     }
 
     /// Bytes of one sample.
+    #[cfg(feature = "gdal")]
     pub(super) const fn bytes(self) -> usize {
         match self {
             Self::Byte | Self::Int8 => 1,

@@ -108,7 +108,7 @@ impl TiffImage {
         let mut rows = u32::try_from(rows).unwrap_or(u32::MAX).min(self.chunk_height);
         if self.chunks_per_band() > 1 {
             // Pieces of unequal height would not make a regular grid.
-            while self.chunk_height % rows != 0 {
+            while !self.chunk_height.is_multiple_of(rows) {
                 rows -= 1;
             }
         }
@@ -469,6 +469,7 @@ fn explain(error: &TiffError) -> String {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test may fail")]
 mod tests {
     use super::*;
 

@@ -3,7 +3,7 @@
 use super::header::{Found, block_size, check_memory, finish, stat};
 use super::sample::{SampleDecoder, SampleType, UndeclaredNodata};
 use super::tiff_codec::{BandReader, Run, check_supported};
-use super::tiff_directory::{MetadataItem, TiffFile, TiffImage};
+use super::tiff_directory::{MetadataItem, TiffFile, TiffImage, parse_nodata};
 use super::{OpenOptions, RasterError, RasterHeader, RasterReader};
 use crate::crs::CrsSpec;
 use crate::grid::GeoTransform;
@@ -11,8 +11,8 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 
 /// What a side file of GDAL must not say, because this reader does not read it.
-const SIDE_FILE_ELEMENTS: [&str; 7] =
-    ["<NoDataValue", "<SRS", "<GeoTransform", "<GCPList", "<UnitType", "<Offset", "<Scale"];
+const SIDE_FILE_ELEMENTS: [&str; 6] =
+    ["<SRS", "<GeoTransform", "<GCPList", "<UnitType", "<Offset", "<Scale"];
 
 /// A GeoTIFF opened in pure Rust: strips or tiles; no compression, deflate, LZW, PackBits or zstd;
 /// predictors 1 to 3; classic or BigTIFF in either byte order; integers of up to 32 bits and floats
@@ -49,7 +49,7 @@ impl TiffReader {
             ));
         }
         let tiff = TiffFile::read(path, options.memory_limit)?;
-        refuse_side_files(path)?;
+        refuse_side_files(path, tiff.nodata)?;
         let sample_type = sample_type(&tiff.image)
             .and_then(|found| check_supported(&tiff.image).map(|()| found))
             .map_err(|what| unreadable(unsupported(&what)))?;
@@ -297,7 +297,7 @@ fn beside(path: &Path, suffix: &str) -> PathBuf {
 
 /// Refuses a raster with side files that would change what GDAL reads: the two builds must not
 /// give different heights for the same file without a word.
-fn refuse_side_files(path: &Path) -> Result<(), RasterError> {
+fn refuse_side_files(path: &Path, nodata: Option<f64>) -> Result<(), RasterError> {
     let refuse = |side: &Path, what: &str| {
         let reason = format!(
             "the side file {} {what}, and this build reads no side files; write it into the \
@@ -315,6 +315,19 @@ fn refuse_side_files(path: &Path) -> Result<(), RasterError> {
         let text = String::from_utf8_lossy(&bytes);
         if let Some(element) = SIDE_FILE_ELEMENTS.iter().find(|element| text.contains(**element)) {
             return refuse(&auxiliary, &format!("changes {}", &element[1..]));
+        }
+        // GDAL repeats there a value that lost digits in the raster's own tag.
+        let same = |value: &str| {
+            let value = parse_nodata(value).unwrap_or(f64::NAN);
+            nodata.is_some_and(|own| own as f32 == value as f32 || (own.is_nan() && value.is_nan()))
+        };
+        let other = text
+            .split("<NoDataValue")
+            .skip(1)
+            .filter_map(|rest| rest.split(['>', '<']).nth(1))
+            .find(|value| !same(value));
+        if let Some(other) = other {
+            return refuse(&auxiliary, &format!("sets the no-data value {other}"));
         }
     }
     Ok(())

@@ -1,6 +1,7 @@
 //! The data set in memory: images and panoramas by number, and one record per pair of them.
 
 use super::city::{KnownCity, canonical_name};
+use super::kinds::{ImageSize, ImageStatus, LabelKind, Split};
 use super::layout::{Layout, TextFile};
 use super::name::SatelliteName;
 use super::panorama::PanoramaName;
@@ -9,102 +10,8 @@ use super::text::{Format, Parsed, Record, parse};
 use crate::grid::{ImageGrid, LonLat, MAX_LATITUDE_DEG};
 use rayon::prelude::*;
 use serde::Serialize;
+use std::collections::hash_map::Entry;
 use std::collections::{BTreeMap, HashMap};
-
-/// The size of the satellite images.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub struct ImageSize {
-    /// Web-Mercator zoom; the world is `256 * 2^zoom` pixels around.
-    pub zoom: u8,
-    /// Width and height in pixels.
-    pub pixels: u32,
-}
-
-impl Default for ImageSize {
-    /// VIGOR's: zoom 20, 640 x 640.
-    fn default() -> Self {
-        Self { zoom: 20, pixels: 640 }
-    }
-}
-
-/// Which labels a file holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum LabelKind {
-    /// VIGOR's own, which assume 0.114 m per pixel everywhere.
-    Original,
-    /// SliceMatch's corrected labels.
-    Corrected,
-    /// Sat3DGen's split files.
-    Sat3dgen,
-}
-
-impl LabelKind {
-    /// Every kind, in the order of their numbers.
-    pub const ALL: [Self; 3] = [Self::Original, Self::Corrected, Self::Sat3dgen];
-
-    /// `original`, `corrected` or `sat3dgen`.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Original => "original",
-            Self::Corrected => "corrected",
-            Self::Sat3dgen => "sat3dgen",
-        }
-    }
-
-    /// By format, and by `corrected` in the path of a label file.
-    fn of(format: Format, file: &str) -> Option<Self> {
-        match format {
-            Format::List => None,
-            Format::Split => Some(Self::Sat3dgen),
-            Format::Labels if file.contains("corrected") => Some(Self::Corrected),
-            Format::Labels => Some(Self::Original),
-        }
-    }
-}
-
-/// Which part of the data a file says it is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Split {
-    /// For training.
-    Train,
-    /// For validation.
-    Val,
-    /// For testing.
-    Test,
-    /// Not divided.
-    All,
-}
-
-impl Split {
-    /// Every split, in the order of their numbers.
-    pub const EACH: [Self; 4] = [Self::Train, Self::Val, Self::Test, Self::All];
-
-    /// `train`, `val`, `test` or `all`.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Train => "train",
-            Self::Val => "val",
-            Self::Test => "test",
-            Self::All => "all",
-        }
-    }
-
-    /// By a word of the file's name.
-    fn of(file: &str) -> Self {
-        let name = file.rsplit('/').next().unwrap_or(file).to_ascii_lowercase();
-        let has = |word| name.split(|c: char| !c.is_ascii_alphabetic()).any(|w| w == word);
-        match () {
-            () if has("train") => Self::Train,
-            () if has("val") => Self::Val,
-            () if has("test") => Self::Test,
-            () => Self::All,
-        }
-    }
-}
 
 /// What became of one text file.
 #[derive(Clone, Debug, Serialize)]
@@ -135,44 +42,11 @@ pub struct FileReport {
     pub skipped: Option<String>,
 }
 
-/// Whether an image file is there and good.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum ImageStatus {
-    /// There is no image folder to look in.
-    #[default]
-    Unchecked,
-    /// The file exists; nobody looked inside.
-    Found,
-    /// The file exists and passed the check.
-    Good,
-    /// The file does not exist.
-    Missing,
-    /// The file exists and failed the check.
-    Bad,
-}
-
-impl ImageStatus {
-    /// Every status, in the order of their numbers.
-    pub const ALL: [Self; 5] = [Self::Unchecked, Self::Found, Self::Good, Self::Missing, Self::Bad];
-
-    /// `unchecked`, `found`, `ok`, `missing` or `bad`.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Unchecked => "unchecked",
-            Self::Found => "found",
-            Self::Good => "ok",
-            Self::Missing => "missing",
-            Self::Bad => "bad",
-        }
-    }
-}
-
 /// A satellite image.
 #[derive(Clone, Debug)]
 pub struct Satellite {
     /// Index of its city.
-    pub city: u16,
+    pub city: u32,
     /// File name.
     pub name: String,
     /// Its pixel grid.
@@ -189,7 +63,7 @@ pub struct Satellite {
 #[derive(Clone, Debug)]
 pub struct Panorama {
     /// Index of its city.
-    pub city: u16,
+    pub city: u32,
     /// File name.
     pub name: String,
     /// Where the camera stood.
@@ -202,7 +76,7 @@ pub struct Panorama {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pair {
     /// Index of the file.
-    pub file: u16,
+    pub file: u32,
     /// Line, from 1.
     pub line: u32,
     /// 0 for the positive, 1 to 3 for the semi-positives.
@@ -243,10 +117,17 @@ pub struct Dataset {
     /// Everything wrong, in the order of files and lines.
     pub problems: Vec<Problem>,
     size: ImageSize,
-    city_index: BTreeMap<String, u16>,
-    satellite_index: HashMap<(u16, String), u32>,
-    panorama_index: HashMap<(u16, String), u32>,
+    city_index: BTreeMap<String, u32>,
+    /// Per city, by file name.
+    satellite_index: Vec<HashMap<String, u32>>,
+    panorama_index: Vec<HashMap<String, u32>>,
     sky_mask_index: HashMap<String, u32>,
+}
+
+/// What a name stands for: something known, or something to be taken in.
+enum Slot<T> {
+    Known(u32),
+    New(T),
 }
 
 /// A name that cannot be used: its field, the kind of problem and the message.
@@ -282,7 +163,7 @@ impl Dataset {
     }
 
     fn take_file(&mut self, layout: &Layout, file: &TextFile, parsed: Parsed<'_>) {
-        let index = self.files.len() as u16;
+        let index = self.files.len() as u32;
         let labels = parsed.format.and_then(|format| LabelKind::of(format, &file.name));
         let mut report = FileReport {
             file: file.name.clone(),
@@ -305,41 +186,34 @@ impl Dataset {
             _ => None,
         };
         let default_city = file.city.clone().or_else(only_city);
-        if parsed.format.is_none() {
-            let reason = if problems.is_empty() {
-                "no line of it looks like VIGOR's labels, splits or lists"
-            } else {
-                "it could not be read"
-            };
-            report.skipped = Some(reason.to_owned());
-        } else if default_city.is_none()
-            && !matches!(parsed.format, Some(Format::Split))
-            && !parsed.records.is_empty()
-        {
-            let message = "the city of its lines cannot be told; give --city, or move the file to splits/<City>/";
-            problems.push(Problem::of_file(&file.name, ProblemKind::City, message));
-            report.skipped = Some("its city is unknown".to_owned());
-        } else {
+        let needs_city = parsed.format != Some(Format::Split) && !parsed.records.is_empty();
+        report.skipped = match (parsed.format, &default_city) {
+            (None, _) if problems.is_empty() => {
+                Some("no line of it looks like VIGOR's labels, splits or lists")
+            }
+            (None, _) => Some("it could not be read"),
+            (Some(_), None) if needs_city => {
+                let message = "the city of its lines cannot be told; give --city, or move the file to splits/<City>/";
+                problems.push(Problem::of_file(&file.name, ProblemKind::City, message));
+                Some("its city is unknown")
+            }
+            (Some(_), _) if parsed.lines == 0 => Some("it is empty"),
+            (Some(_), _) => None,
+        }
+        .map(str::to_owned);
+        if report.skipped.is_none() {
             for record in &parsed.records {
                 match self.take_record(index, record, default_city.as_deref(), layout) {
                     Ok(0) => report.other_cities += 1,
                     Ok(pairs) => {
                         report.parsed += 1;
-                        if record.panorama.is_some() {
-                            report.pairs += pairs;
-                        }
+                        report.pairs += if record.panorama.is_some() { pairs } else { 0 };
                     }
-                    Err(refusals) => {
-                        problems.extend(refusals.into_iter().map(|(field, kind, message)| {
-                            Problem {
-                                file: file.name.clone(),
-                                line: Some(record.line),
-                                field,
-                                kind,
-                                message,
-                            }
-                        }))
-                    }
+                    Err(refusals) => problems.extend(refusals.into_iter().map(|refusal| {
+                        let (field, kind, message) = refusal;
+                        let (file, line) = (file.name.clone(), Some(record.line));
+                        Problem { file, line, field, kind, message }
+                    })),
                 }
             }
             problems.sort_by_key(|p| (p.line, p.field));
@@ -352,7 +226,7 @@ impl Dataset {
     /// Takes in one line; the number of its satellite images, or 0 for another city than asked for.
     fn take_record(
         &mut self,
-        file: u16,
+        file: u32,
         record: &Record<'_>,
         default_city: Option<&str>,
         layout: &Layout,
@@ -379,24 +253,27 @@ impl Dataset {
         }
         let city = self.city(&city);
 
+        // All names first: a line with a bad one leaves nothing behind.
         let mut refusals = Vec::new();
-        let mut satellites = [0_u32; 4];
-        for (slot, pair) in satellites.iter_mut().zip(&record.pairs) {
-            match self.satellite(city, pair.satellite) {
-                Ok(index) => *slot = index,
+        let mut satellites = Vec::with_capacity(record.pairs.len());
+        for pair in &record.pairs {
+            match self.find_satellite(city, pair.satellite) {
+                Ok(slot) => satellites.push(slot),
                 Err((kind, message)) => refusals.push((Some(pair.field), kind, message)),
             }
         }
         let panorama = record.panorama.and_then(|(name, field)| {
-            self.panorama(city, name)
+            self.find_panorama(city, name)
                 .map_err(|(kind, message)| refusals.push((Some(field), kind, message)))
                 .ok()
         });
         if !refusals.is_empty() {
             return Err(refusals);
         }
+        let panorama = panorama.map(|slot| self.add_panorama(slot));
         let sky_mask = record.sky_mask.map(|name| self.sky_mask(name));
-        for (rank, (pair, satellite)) in record.pairs.iter().zip(satellites).enumerate() {
+        for (rank, (pair, slot)) in record.pairs.iter().zip(satellites).enumerate() {
+            let satellite = self.add_satellite(slot);
             let image = &mut self.satellites[satellite as usize];
             let Some(panorama) = panorama else {
                 image.listed = true;
@@ -416,65 +293,103 @@ impl Dataset {
         Ok(record.pairs.len() as u32)
     }
 
-    fn city(&mut self, name: &str) -> u16 {
+    fn city(&mut self, name: &str) -> u32 {
         if let Some(index) = self.city_index.get(name) {
             return *index;
         }
-        let index = self.cities.len() as u16;
+        let index = self.cities.len() as u32;
         self.cities.push(name.to_owned());
         self.city_index.insert(name.to_owned(), index);
+        self.satellite_index.push(HashMap::new());
+        self.panorama_index.push(HashMap::new());
         index
     }
 
     /// The number of a satellite image by its name, with or without folders.
     pub(super) fn satellite(
         &mut self,
-        city: u16,
+        city: u32,
         path: &str,
     ) -> Result<u32, (ProblemKind, String)> {
-        let key = (city, file_name(path).to_owned());
-        if let Some(index) = self.satellite_index.get(&key) {
-            return Ok(*index);
+        let slot = self.find_satellite(city, path)?;
+        Ok(self.add_satellite(slot))
+    }
+
+    fn find_satellite(
+        &self,
+        city: u32,
+        path: &str,
+    ) -> Result<Slot<Satellite>, (ProblemKind, String)> {
+        let name = file_name(path);
+        if let Some(index) = self.satellite_index[city as usize].get(name) {
+            return Ok(Slot::Known(*index));
         }
         let parsed =
-            SatelliteName::parse(&key.1).map_err(|error| (ProblemKind::Name, error.to_string()))?;
+            SatelliteName::parse(name).map_err(|error| (ProblemKind::Name, error.to_string()))?;
         let ImageSize { zoom, pixels } = self.size;
         let grid = ImageGrid::new(parsed.center(), zoom, pixels, pixels)
-            .map_err(|error| (ProblemKind::Position, format!("{}: {error}", quoted(&key.1))))?;
-        let index = self.satellites.len() as u32;
-        self.satellites.push(Satellite {
+            .map_err(|error| (ProblemKind::Position, format!("{}: {error}", quoted(name))))?;
+        Ok(Slot::New(Satellite {
             city,
-            name: key.1.clone(),
+            name: name.to_owned(),
             grid,
             listed: false,
             labelled: false,
             status: ImageStatus::Unchecked,
-        });
-        self.satellite_index.insert(key, index);
-        Ok(index)
+        }))
     }
 
-    fn panorama(&mut self, city: u16, path: &str) -> Result<u32, (ProblemKind, String)> {
-        let key = (city, file_name(path).to_owned());
-        if let Some(index) = self.panorama_index.get(&key) {
-            return Ok(*index);
+    fn add_satellite(&mut self, slot: Slot<Satellite>) -> u32 {
+        let new = match slot {
+            Slot::Known(index) => return index,
+            Slot::New(new) => new,
+        };
+        // A line may name a new image twice.
+        let index = self.satellites.len() as u32;
+        match self.satellite_index[new.city as usize].entry(new.name.clone()) {
+            Entry::Occupied(known) => *known.get(),
+            Entry::Vacant(free) => {
+                free.insert(index);
+                self.satellites.push(new);
+                index
+            }
         }
-        let position = PanoramaName::parse(&key.1)
+    }
+
+    fn find_panorama(
+        &self,
+        city: u32,
+        path: &str,
+    ) -> Result<Slot<Panorama>, (ProblemKind, String)> {
+        let name = file_name(path);
+        if let Some(index) = self.panorama_index[city as usize].get(name) {
+            return Ok(Slot::Known(*index));
+        }
+        let position = PanoramaName::parse(name)
             .map_err(|error| (ProblemKind::Name, error.to_string()))?
             .position();
         if position.lat_deg.abs() > MAX_LATITUDE_DEG {
             let message = format!(
                 "{}: latitude {} is outside Web Mercator, which ends at +-{MAX_LATITUDE_DEG:.4} degrees",
-                quoted(&key.1),
+                quoted(name),
                 position.lat_deg
             );
             return Err((ProblemKind::Position, message));
         }
-        let index = self.panoramas.len() as u32;
-        let name = key.1.clone();
-        self.panoramas.push(Panorama { city, name, position, status: ImageStatus::Unchecked });
-        self.panorama_index.insert(key, index);
-        Ok(index)
+        let (name, status) = (name.to_owned(), ImageStatus::Unchecked);
+        Ok(Slot::New(Panorama { city, name, position, status }))
+    }
+
+    fn add_panorama(&mut self, slot: Slot<Panorama>) -> u32 {
+        match slot {
+            Slot::Known(index) => index,
+            Slot::New(new) => {
+                let index = self.panoramas.len() as u32;
+                self.panorama_index[new.city as usize].insert(new.name.clone(), index);
+                self.panoramas.push(new);
+                index
+            }
+        }
     }
 
     fn sky_mask(&mut self, name: &str) -> u32 {
@@ -495,7 +410,7 @@ impl Dataset {
 
     /// Ground size of a pixel that the corrected labels of a city assume, metres.
     #[must_use]
-    pub fn resolution_m(&self, city: u16) -> Option<f64> {
+    pub fn resolution_m(&self, city: u32) -> Option<f64> {
         KnownCity::find(&self.cities[city as usize]).map(|known| known.resolution_m)
     }
 }
@@ -581,6 +496,7 @@ mod tests {
         assert!(told[1].starts_with(&format!("{file}:1, field 11: `sat_x.png` is not named")));
         assert!(told[2].starts_with(&format!("{file}:2, field 5: ")), "{}", told[2]);
         assert_eq!((dataset.files[0].parsed, dataset.files[0].pairs), (1, 4));
+        assert_eq!((dataset.panoramas.len(), dataset.satellites.len()), (1, 4));
     }
 
     #[test]
@@ -637,13 +553,5 @@ mod tests {
         ] {
             assert_eq!(city_of_path(path), city, "{path}");
         }
-    }
-
-    #[test]
-    fn splits_by_whole_words() {
-        assert_eq!(Split::of("a/train__corrected_all_3city_remove_building.txt"), Split::Train);
-        assert_eq!(Split::of("same_area_balanced_test__corrected.txt"), Split::Test);
-        assert_eq!(Split::of("val__corrected.txt"), Split::Val);
-        assert_eq!(Split::of("latest_labels.txt"), Split::All);
     }
 }

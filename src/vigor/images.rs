@@ -112,6 +112,10 @@ pub fn check(path: &Path, verify: Verify, expected: Expected) -> Result<(), Imag
         let bytes = std::fs::read(path).map_err(unreadable)?;
         image::load_from_memory_with_format(&bytes, header.format)
             .map_err(|error| ImageProblem::Pixels { cause: error.to_string() })?;
+        // JPEG decoders fill in what is missing with grey.
+        if header.format == image::ImageFormat::Jpeg && !jpeg_is_complete(&bytes) {
+            return Err(ImageProblem::Pixels { cause: "the file ends before the image".into() });
+        }
     }
     Ok(())
 }
@@ -224,6 +228,25 @@ fn jpeg_header(file: &mut (impl Read + Seek)) -> Result<Header, Broken> {
     }
 }
 
+/// Whether the end-of-image marker follows the scans. (One may also stand in the thumbnail of an
+/// EXIF segment, so it is not enough to find it anywhere.)
+fn jpeg_is_complete(bytes: &[u8]) -> bool {
+    let mut at = 2;
+    while let Some(&[marker, code]) = bytes.get(at..at + 2) {
+        match (marker, code) {
+            (0xFF, 0xD9) => return true,
+            // Data of a scan: anything that is no marker, a stuffed zero, fill, a restart.
+            (0xFF, 0x00 | 0x01 | 0xD0..=0xD7) => at += 2,
+            (0xFF, 0xFF) | (0..0xFF, _) => at += 1,
+            (0xFF, _) => {
+                let Some(&[high, low]) = bytes.get(at + 2..at + 4) else { return false };
+                at += 2 + usize::from(u16::from_be_bytes([high, low]));
+            }
+        }
+    }
+    false
+}
+
 fn be_u32(bytes: &[u8]) -> u32 {
     bytes.iter().fold(0, |value, byte| value << 8 | u32::from(*byte))
 }
@@ -291,10 +314,12 @@ mod tests {
     #[test]
     fn a_truncated_file_passes_the_header_check_and_fails_the_full_one() {
         for bytes in [png(64, 64, ExtendedColorType::Rgb8), jpeg(640, 640)] {
-            let cut = &bytes[..bytes.len() * 2 / 3];
-            assert_eq!(check_bytes(cut, Verify::Header, FREE), Ok(()));
-            let error = check_bytes(cut, Verify::Full, FREE);
-            assert!(matches!(error, Err(ImageProblem::Pixels { .. })), "{error:?}");
+            for length in [bytes.len() * 2 / 3, bytes.len() - 15] {
+                let cut = &bytes[..length];
+                assert_eq!(check_bytes(cut, Verify::Header, FREE), Ok(()));
+                let error = check_bytes(cut, Verify::Full, FREE);
+                assert!(matches!(error, Err(ImageProblem::Pixels { .. })), "{length}: {error:?}");
+            }
         }
     }
 

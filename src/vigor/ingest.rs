@@ -1,7 +1,8 @@
 //! The whole ingest: read, look at the images, measure, summarise, write.
 
-use super::dataset::{Dataset, ImageSize, ImageStatus};
+use super::dataset::Dataset;
 use super::images::{Expected, Verify, check};
+use super::kinds::{ImageSize, ImageStatus};
 use super::layout::{Layout, LayoutError};
 use super::manifest;
 use super::measure::{Measured, measure};
@@ -173,7 +174,7 @@ impl Ingest {
 }
 
 /// What was found of a city's satellite images and of its panoramas, by index of the city.
-pub(super) type CityImages = HashMap<u16, [Option<ImageCounts>; 2]>;
+pub(super) type CityImages = HashMap<u32, [Option<ImageCounts>; 2]>;
 
 /// A file to look at.
 struct Job {
@@ -192,7 +193,7 @@ fn check_images(
 ) -> Result<CityImages, IngestError> {
     let mut counts = CityImages::new();
     let mut jobs = Vec::new();
-    for city in 0..dataset.cities.len() as u16 {
+    for city in 0..dataset.cities.len() as u32 {
         let name = &dataset.cities[city as usize];
         let Some(folder) = layout.cities.get(name).cloned() else { continue };
         let entry = counts.entry(city).or_default();
@@ -249,7 +250,7 @@ fn check_images(
 fn list_images(
     layout: &Layout,
     dataset: &mut Dataset,
-    city: u16,
+    city: u32,
     folder: &Path,
     panorama: bool,
     jobs: &mut Vec<Job>,

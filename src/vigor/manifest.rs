@@ -1,7 +1,8 @@
 //! The manifest: one row per pair of a panorama and a satellite image; and the layers of the
 //! GeoPackage, one row per panorama and one per satellite image.
 
-use super::dataset::{Dataset, ImageStatus, LabelKind, Pair, Panorama, Split};
+use super::dataset::{Dataset, Pair, Panorama};
+use super::kinds::{ImageStatus, LabelKind, Split};
 use super::measure::{Measured, Residual};
 use crate::grid::{ImageGrid, PixelPoint};
 use crate::table::{Column, Table, TableError, wkb};
@@ -33,14 +34,14 @@ pub fn table(dataset: &Dataset, measured: &[Measured]) -> Result<Table, TableErr
     let panoramas = dataset.panoramas.iter().map(|p| p.name.clone()).collect();
     let satellites = dataset.satellites.iter().map(|s| s.name.clone()).collect();
     Table::new(vec![
-        word("city", "City", dataset.cities.clone(), &|p| Some(panorama(p).city.into())),
+        word("city", "City", dataset.cities.clone(), &|p| Some(panorama(p).city)),
         word("split", "Part of the data by the file's name: train, val, test, all", splits, &|p| {
             Some(file(p).split as u32)
         }),
         word("labels", "Kind of labels: original, corrected, sat3dgen", kinds, &|p| {
             file(p).labels.map(|kind| kind as u32)
         }),
-        word("file", "File of the line, from the root", files, &|p| Some(p.file.into())),
+        word("file", "File of the line, from the root", files, &|p| Some(p.file)),
         count("line", "Line in the file, from 1", &|p, _| Some(p.line.into())),
         word("role", "positive or semi", owned(&["positive", "semi"]), &|p| {
             Some(u32::from(!p.is_positive()))

@@ -17,6 +17,8 @@ pub struct Measured {
     pub pixel: PixelPoint,
     /// Whether that pixel lies inside the image.
     pub inside: bool,
+    /// Whether the label lies inside the image; `None` where there is no label.
+    pub label_inside: Option<bool>,
     /// The offset `[d0, d1]` that the UTM formula gives; `None` where the city's resolution is
     /// unknown.
     pub utm: Option<[i64; 2]>,
@@ -60,9 +62,9 @@ pub fn ground_pixel_size(lat_deg: f64, zoom: u8) -> [f64; 2] {
 /// [`CrsError`] if a UTM zone cannot be served.
 pub fn measure(dataset: &Dataset, resolution_m: Option<f64>) -> Result<Vec<Measured>, CrsError> {
     let resolutions: Vec<Option<f64>> = (0..dataset.cities.len())
-        .map(|city| resolution_m.or_else(|| dataset.resolution_m(city as u16)))
+        .map(|city| resolution_m.or_else(|| dataset.resolution_m(city as u32)))
         .collect();
-    let wanted = |city: u16| resolutions[city as usize].is_some();
+    let wanted = |city: u32| resolutions[city as usize].is_some();
     let panoramas: Vec<LonLat> = dataset.panoramas.iter().map(|p| p.position).collect();
     let satellites: Vec<LonLat> = dataset.satellites.iter().map(|s| s.grid.center()).collect();
     let zones = UtmZones::resolve(
@@ -96,16 +98,19 @@ pub fn measure(dataset: &Dataset, resolution_m: Option<f64>) -> Result<Vec<Measu
             let (panorama, satellite) = utm_of(pair)?;
             Some(corrected_offset(panorama, satellite, resolution))
         });
-        let residual = pair.offset.map(|[d0, d1]| {
-            let x_px = (width / 2.0 - d1) - pixel.x;
-            let y_px = (height / 2.0 + d0) - pixel.y;
+        let is_inside = |p: PixelPoint| (0.0..width).contains(&p.x) && (0.0..height).contains(&p.y);
+        let label =
+            pair.offset.map(|[d0, d1]| PixelPoint { x: width / 2.0 - d1, y: height / 2.0 + d0 });
+        let residual = label.map(|label| {
+            let (x_px, y_px) = (label.x - pixel.x, label.y - pixel.y);
             let [east, south] = pixel_sizes[pair.satellite as usize];
             let metres = libm::hypot(x_px * east, y_px * south);
             Residual { x_px, y_px, px: libm::hypot(x_px, y_px), metres }
         });
         Measured {
             pixel,
-            inside: (0.0..width).contains(&pixel.x) && (0.0..height).contains(&pixel.y),
+            inside: is_inside(pixel),
+            label_inside: label.map(is_inside),
             utm,
             reproduced: pair.offset.zip(utm).map(|(label, utm)| label == utm.map(|d| d as f64)),
             residual,

@@ -8,6 +8,7 @@ mod city;
 mod dataset;
 mod images;
 mod ingest;
+mod kinds;
 mod layout;
 mod manifest;
 mod measure;
@@ -21,11 +22,10 @@ mod text;
 mod utm;
 
 pub use city::{CITIES, KnownCity, canonical_name};
-pub use dataset::{
-    Dataset, FileReport, ImageSize, ImageStatus, LabelKind, Pair, Panorama, Satellite, Split,
-};
+pub use dataset::{Dataset, FileReport, Pair, Panorama, Satellite};
 pub use images::{Expected, ImageProblem, Verify, check};
 pub use ingest::{Ingest, IngestError, IngestOptions};
+pub use kinds::{ImageSize, ImageStatus, LabelKind, Split};
 pub use layout::{CityFolder, Layout, LayoutError, TextFile};
 pub use manifest::table as manifest_table;
 pub use measure::{Measured, Residual, fitted_resolution, ground_pixel_size, measure};

@@ -1,6 +1,7 @@
 //! Statistics of labels: residuals, reproduction by the formula, neighbours, overlap.
 
-use super::dataset::{Dataset, LabelKind, Pair, Split};
+use super::dataset::{Dataset, Pair};
+use super::kinds::{LabelKind, Split};
 use super::measure::{Measured, Residual, fitted_resolution, ground_pixel_size};
 use super::overlap::{Cover, MAX_DEPTH, Rectangle};
 use crate::grid::{ImageGrid, LonLat, PixelPoint};
@@ -62,6 +63,8 @@ pub struct RoleStatistics {
     pub pairs: u64,
     /// Pairs whose panorama lies outside the image.
     pub outside: u64,
+    /// Pairs whose label says so.
+    pub label_outside: u64,
     /// Length of label minus exact pixel, pixels.
     pub residual_px: Option<Distribution>,
     /// The same on the ground, metres.
@@ -77,6 +80,7 @@ impl RoleStatistics {
         Self {
             pairs: measured.len() as u64,
             outside: measured.iter().filter(|m| !m.inside).count() as u64,
+            label_outside: measured.iter().filter(|m| m.label_inside == Some(false)).count() as u64,
             residual_px: distribution(|r| r.px),
             residual_m: distribution(|r| r.metres),
         }
@@ -174,7 +178,7 @@ pub struct OverlapStatistics {
 pub fn of_labels(
     dataset: &Dataset,
     measured: &[Measured],
-    city: u16,
+    city: u32,
     resolution_m: Option<f64>,
 ) -> Vec<LabelStatistics> {
     let plane = Plane::new(dataset);
@@ -373,7 +377,7 @@ fn footprint(grid: &ImageGrid) -> Rectangle {
 
 /// How a city's images overlap; `None` if it has none.
 #[must_use]
-pub fn of_overlap(dataset: &Dataset, city: u16) -> Option<OverlapStatistics> {
+pub fn of_overlap(dataset: &Dataset, city: u32) -> Option<OverlapStatistics> {
     let grids: Vec<&ImageGrid> =
         dataset.satellites.iter().filter(|s| s.city == city).map(|s| &s.grid).collect();
     let cover = Cover::of(&grids.iter().map(|grid| footprint(grid)).collect::<Vec<_>>());

@@ -93,7 +93,7 @@ impl Summary {
         options: &IngestOptions,
         mut images: CityImages,
     ) -> Self {
-        let mut cities: Vec<CitySummary> = (0..dataset.cities.len() as u16)
+        let mut cities: Vec<CitySummary> = (0..dataset.cities.len() as u32)
             .map(|city| {
                 let of_city = |count: &dyn Fn(&super::dataset::Satellite) -> bool| {
                     dataset.satellites.iter().filter(|s| s.city == city && count(s)).count() as u64
@@ -179,7 +179,7 @@ impl fmt::Display for CitySummary {
             let at_least = |k: usize| overlap.share_at_least.get(k - 1).copied().unwrap_or(0.0);
             writeln!(
                 f,
-                "  overlap     {:.2} images show a point of the ground on average ({:.1} % of {:.1} km2 twice or more, {:.1} % four times or more)",
+                "  overlap     {:.2} images show a point of the ground on average ({:.1} % of {:.2} km2 twice or more, {:.1} % four times or more)",
                 overlap.mean_images,
                 100.0 * at_least(2),
                 overlap.union_km2,
@@ -273,7 +273,11 @@ fn write_role(f: &mut fmt::Formatter<'_>, name: &str, role: &RoleStatistics) -> 
         )?;
     }
     let share = 100.0 * role.outside as f64 / role.pairs as f64;
-    writeln!(f, "{} of {} outside the image ({share:.1} %)", role.outside, role.pairs)
+    write!(f, "{} of {} outside the image ({share:.1} %", role.outside, role.pairs)?;
+    if role.label_outside != role.outside {
+        write!(f, "; {} by their labels", role.label_outside)?;
+    }
+    writeln!(f, ")")
 }
 
 fn plural(n: u64, what: &str) -> String {

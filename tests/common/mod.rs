@@ -78,7 +78,13 @@ pub fn mercator_box(lat_deg: f64, lon_deg: f64, zoom: i32, size: f64) -> [f64; 4
 }
 
 /// Runs gdalwarp onto an image's grid, exact in coordinates, and returns band 1.
-pub fn gdalwarp(source: &Path, lat_lon: (f64, f64), zoom: i32, size: usize, extra: &[&str]) -> Vec<f32> {
+pub fn gdalwarp(
+    source: &Path,
+    lat_lon: (f64, f64),
+    zoom: i32,
+    size: usize,
+    extra: &[&str],
+) -> Vec<f32> {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().join("warped.bin");
     let te = mercator_box(lat_lon.0, lat_lon.1, zoom, size as f64).map(|v| format!("{v:.12}"));
@@ -94,5 +100,9 @@ pub fn gdalwarp(source: &Path, lat_lon: (f64, f64), zoom: i32, size: usize, extr
         .arg(&target);
     run(&mut command, 0);
     let bytes = std::fs::read(&target).unwrap();
-    bytes.chunks_exact(4).take(size * size).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()
+    bytes
+        .chunks_exact(4)
+        .take(size * size)
+        .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+        .collect()
 }
