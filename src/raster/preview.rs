@@ -35,7 +35,7 @@ const STRETCH: [f64; 2] = [0.02, 0.98];
 /// Direction to the sun, east, north, up: azimuth 315 degrees, elevation 45 degrees.
 const SUN: [f64; 3] = [-0.5, 0.5, std::f64::consts::FRAC_1_SQRT_2];
 /// Brightness of ground that the sun does not reach; flat ground has 1.
-const AMBIENT: f64 = 0.3;
+const AMBIENT: f64 = 0.4;
 
 /// A hillshaded colour picture of a height raster, as the bytes of an RGBA PNG.
 ///
@@ -52,25 +52,21 @@ const AMBIENT: f64 = 0.3;
 /// to the border. A grid without pixels gives one transparent pixel, since PNG knows no empty image.
 #[must_use]
 pub fn hillshade_png(heights: &[f32], width: usize, height: usize, ground_pixel_m: f64) -> Vec<u8> {
+    let heights = if width == 0 || height == 0 { &[] } else { heights };
     let (width, height) = (width.max(1), height.max(1));
     let mut rgba = vec![0; width * height * 4];
     if let Some(stretch) = Stretch::of(heights) {
         let colours = colour_table();
         let light = Light::new(ground_pixel_m);
-        let picture = rgba.chunks_exact_mut(width * 4).zip(heights.chunks(width));
-        for (y, (pixels, row)) in picture.enumerate() {
-            let line =
-                |y: Option<usize>| y.and_then(|y| heights.get(y * width..)).unwrap_or_default();
-            let (above, below) = (line(y.checked_sub(1)), line(Some(y + 1)));
-            for (x, (pixel, &z)) in pixels.chunks_exact_mut(4).zip(row).enumerate() {
+        let rows: Vec<&[f32]> = heights.chunks(width).take(height).collect();
+        let row = |y: Option<usize>| y.and_then(|y| rows.get(y)).copied().unwrap_or_default();
+        for (y, pixels) in rgba.chunks_exact_mut(width * 4).enumerate().take(rows.len()) {
+            let around = [row(y.checked_sub(1)), rows[y], row(Some(y + 1))];
+            for (x, (pixel, &z)) in pixels.chunks_exact_mut(4).zip(rows[y]).enumerate() {
                 if z.is_finite() {
-                    let window = window([above, row, below], x, width, z);
-                    let colour = colours[stretch.step(z)];
-                    let light = light.on(&window);
-                    for (channel, value) in pixel.iter_mut().zip(colour) {
-                        *channel = lit(value, light);
-                    }
-                    pixel[3] = 255;
+                    let light = light.on(&window(around, x, z));
+                    let [r, g, b] = colours[stretch.step(z)].map(|value| lit(value, light));
+                    pixel.copy_from_slice(&[r, g, b, 255]);
                 }
             }
         }
@@ -120,16 +116,24 @@ fn percentile(values: &mut [f32], share: f64) -> f64 {
     }
 }
 
-/// The 3 x 3 heights around column `x` of the middle row, whose height is `z`. What has no data is
-/// continued from the opposite neighbour, or else level.
-fn window(rows: [&[f32]; 3], x: usize, width: usize, z: f32) -> [[f64; 3]; 3] {
+/// The 3 x 3 heights around column `x` of the middle row, whose height is `z`. What has no data or
+/// lies outside is continued from the opposite neighbour, or else level.
+fn window(rows: [&[f32]; 3], x: usize, z: f32) -> [[f64; 3]; 3] {
+    let here =
+        rows.map(|row| row.get(x.wrapping_sub(1)..x + 2).and_then(|taps| taps.first_chunk::<3>()));
+    if let [Some(above), Some(row), Some(below)] = here {
+        let taps = [*above, *row, *below].map(|taps| taps.map(f64::from));
+        // One sum instead of nine questions: it is finite only if all nine are (f32 cannot
+        // overflow f64).
+        if taps.iter().flatten().sum::<f64>().is_finite() {
+            return taps;
+        }
+    }
     let z = f64::from(z);
-    let at = |dy: usize, dx: usize| -> Option<f64> {
-        let column = (x + dx).checked_sub(1).filter(|&column| column < width)?;
-        rows[dy].get(column).copied().filter(|z| z.is_finite()).map(f64::from)
-    };
-    let known: [[Option<f64>; 3]; 3] =
-        std::array::from_fn(|dy| std::array::from_fn(|dx| at(dy, dx)));
+    let known = rows.map(|row| {
+        [x.checked_sub(1), Some(x), Some(x + 1)]
+            .map(|x| row.get(x?).copied().filter(|z| z.is_finite()).map(f64::from))
+    });
     std::array::from_fn(|dy| {
         std::array::from_fn(|dx| match (known[dy][dx], known[2 - dy][2 - dx]) {
             (Some(here), _) => here,
@@ -152,7 +156,7 @@ impl Light {
     }
 
     /// Brightness of the middle of a 3 x 3 window: 1 where it is flat, [`AMBIENT`] where the sun
-    /// does not reach it, up to 1.29 where it faces the sun.
+    /// does not reach it, up to 1.25 where it faces the sun.
     fn on(&self, [a, b, c]: &[[f64; 3]; 3]) -> f64 {
         let east = ((a[2] + 2.0 * b[2] + c[2]) - (a[0] + 2.0 * b[0] + c[0])) * self.per_m;
         let north = ((a[0] + 2.0 * a[1] + a[2]) - (c[0] + 2.0 * c[1] + c[2])) * self.per_m;
@@ -191,3 +195,6 @@ fn png(rgba: &[u8], width: usize, height: usize) -> Vec<u8> {
         .expect("writing a well-formed picture to memory cannot fail");
     bytes
 }
+
+#[cfg(test)]
+mod tests;
