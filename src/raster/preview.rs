@@ -134,11 +134,15 @@ fn window(rows: [&[f32]; 3], x: usize, z: f32) -> [[f64; 3]; 3] {
         [x.checked_sub(1), Some(x), Some(x + 1)]
             .map(|x| row.get(x?).copied().filter(|z| z.is_finite()).map(f64::from))
     });
+    let reflected = |dy: usize, dx: usize| {
+        known[dy][dx].or_else(|| known[2 - dy][2 - dx].map(|opposite| 2.0 * z - opposite))
+    };
     std::array::from_fn(|dy| {
-        std::array::from_fn(|dx| match (known[dy][dx], known[2 - dy][2 - dx]) {
-            (Some(here), _) => here,
-            (None, Some(opposite)) => 2.0 * z - opposite,
-            (None, None) => z,
+        std::array::from_fn(|dx| {
+            // At the corner of a grid neither diagonal neighbour is known: the plane through the
+            // straight ones gives it.
+            let beside = || reflected(dy, 1).unwrap_or(z) + reflected(1, dx).unwrap_or(z) - z;
+            reflected(dy, dx).unwrap_or_else(|| if dy == 1 || dx == 1 { z } else { beside() })
         })
     })
 }

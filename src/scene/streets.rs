@@ -146,9 +146,9 @@ impl Streets {
         let a = (st[0] - s.at).abs() - s.half_width;
         let b = (st[1] - t.at).abs() - t.half_width;
         let r = CORNER_RADIUS_M;
-        let kerb = if a > 0.0 && b > 0.0 && a < r && b < r {
-            // Inside the corner: paved outside the circle that touches both carriageways.
-            (r - libm::hypot(r - a, r - b)).min(a.min(b))
+        let kerb = if a < r && b < r {
+            // At a crossing: paved outside the circle that touches both carriageways.
+            r - libm::hypot(r - a, r - b)
         } else {
             a.min(b)
         };

@@ -138,6 +138,9 @@ fn what_cannot_be_written_is_refused_by_name() {
     bad.assets[0].1.sha256 = Some("12".into());
     assert!(refused(&[bad]).contains("asset dsm: \"12\""));
     assert!(!folder.path().join(COLLECTION_FILE).exists());
-    let missing = write(Path::new("/no/such/folder"), &collection(), &[]).expect_err("is refused");
-    assert!(missing.to_string().contains("/no/such/folder"));
+    // A folder below a file cannot be made.
+    let below = folder.path().join("keep.json/folder");
+    std::fs::write(folder.path().join("keep.json"), "{}").expect("writes");
+    let missing = write(&below, &collection(), &[]).expect_err("is refused");
+    assert!(missing.to_string().contains("keep.json"), "{missing}");
 }

@@ -63,11 +63,10 @@ fn a_plane_has_the_light_of_its_normal_everywhere() {
         let expected = AMBIENT + (1.0 - AMBIENT) * cosine.max(0.0) / libm::cos(zenith);
         let rows: Vec<&[f32]> = heights.chunks(width).collect();
         let row = |y: Option<usize>| y.and_then(|y| rows.get(y)).copied().unwrap_or_default();
-        for y in 0..height {
-            for x in 0..width {
-                let z = rows[y][x];
+        for (y, &line) in rows.iter().enumerate() {
+            for (x, &z) in line.iter().enumerate() {
                 if z.is_finite() {
-                    let around = [row(y.checked_sub(1)), rows[y], row(Some(y + 1))];
+                    let around = [row(y.checked_sub(1)), line, row(Some(y + 1))];
                     let light = Light::new(pixel_m).on(&window(around, x, z));
                     assert!(
                         (light - expected).abs() < 1e-5,
