@@ -1,27 +1,61 @@
 //! The command line: arguments -> plan -> run -> print, one file per subcommand.
 
+mod completions;
+mod console;
+mod dsm_bench;
+mod run;
+mod simulate;
+mod vigor;
+
 use clap::{Parser, Subcommand};
 use sat3d::batch::ExitCode;
 
 /// Metric street-level 3-D from one satellite image, and the lidar benchmark that proves it.
 #[derive(Parser, Debug)]
-#[command(name = "sat3d", version, propagate_version = true, arg_required_else_help = true)]
-struct Cli {
+#[command(
+    name = "sat3d",
+    version,
+    propagate_version = true,
+    arg_required_else_help = true,
+    after_help = console::EXIT_CODES
+)]
+pub(crate) struct Cli {
+    #[command(flatten)]
+    console: console::Args,
     #[command(subcommand)]
     command: Command,
 }
 
+/// Every subcommand; the doc comment of each `Args` is its help.
 #[derive(Subcommand, Debug)]
-enum Command {}
+pub(crate) enum Command {
+    DsmBench(dsm_bench::Args),
+    Run(run::Args),
+    Simulate(simulate::Args),
+    Completions(completions::Args),
+    Vigor(vigor::Args),
+}
+
+/// Runs one subcommand. Recipes call this once per step, `main` once.
+///
+/// # Errors
+/// Whatever keeps the subcommand from doing its work at all; what befalls single items of a batch
+/// is in the exit code.
+pub(crate) fn dispatch(command: &Command) -> anyhow::Result<ExitCode> {
+    match command {
+        Command::DsmBench(args) => dsm_bench::run(args),
+        Command::Run(args) => run::run(args),
+        Command::Simulate(args) => simulate::run(args),
+        Command::Completions(args) => completions::run(args),
+        Command::Vigor(args) => vigor::run(args),
+    }
+}
 
 fn main() -> std::process::ExitCode {
+    console::install_panic_hook();
     let cli = Cli::parse();
-    let result: anyhow::Result<ExitCode> = match cli.command {};
-    match result {
-        Ok(code) => code.into(),
-        Err(error) => {
-            eprintln!("error: {error:#}");
-            ExitCode::Usage.into()
-        }
+    if let Err(error) = cli.console.install() {
+        return console::report(&error).into();
     }
+    dispatch(&cli.command).unwrap_or_else(|error| console::report(&error)).into()
 }

@@ -159,3 +159,64 @@ fn cone_constant(ellipsoid: &Ellipsoid, lat_1: f64, lat_2: f64) -> f64 {
 fn domain(what: String) -> CrsError {
     CrsError::Domain { projection: "Lambert conformal conic".to_owned(), what }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn cone(lat_0: f64, lat_1: f64, lat_2: f64) -> Result<LambertConic, CrsError> {
+        LambertConic::two_parallels(Ellipsoid::GRS80, (lat_0, 0.0), (lat_1, lat_2), (0.0, 0.0))
+    }
+
+    #[test]
+    fn cone_constant_is_continuous_where_the_parallels_meet() {
+        let grs80 = Ellipsoid::GRS80;
+        for lat in [-60.0, 20.0, 47.0, 85.0] {
+            let tangent = cone_constant(&grs80, lat, lat);
+            for apart in [1e-13, 1e-9, 1e-6] {
+                let secant = cone_constant(&grs80, lat, lat + apart);
+                // The mean of the parallels moves by half of what parts them.
+                assert!((secant - tangent).abs() < apart.to_radians() + 1e-15, "{lat} {apart}");
+                assert_eq!(secant, cone_constant(&grs80, lat + apart, lat));
+            }
+        }
+    }
+
+    #[test]
+    fn one_parallel_with_a_scale_is_two_parallels_of_the_same_cone() {
+        // A secant cone is a tangent one at the parallel of least scale, shrunk.
+        let secant = cone(46.0, 45.0, 47.0).expect("valid");
+        let middle = libm::asin(secant.n).to_degrees();
+        let least = secant.n
+            * secant.rho_0
+            * libm::exp(-secant.n * Ellipsoid::GRS80.isometric_difference(middle, 46.0))
+            / Ellipsoid::GRS80.parallel_radius(middle);
+        let shift = secant.forward(LonLat { lon_deg: 0.0, lat_deg: middle }).expect("valid").y;
+        let tangent =
+            LambertConic::one_parallel(Ellipsoid::GRS80, (middle, 0.0), least, (0.0, shift))
+                .expect("valid");
+        for (lon_deg, lat_deg) in [(3.0, 44.0), (-20.0, 60.0), (0.0, 46.0)] {
+            let at = LonLat { lon_deg, lat_deg };
+            let (a, b) = (secant.forward(at).expect("valid"), tangent.forward(at).expect("valid"));
+            assert!((a.x - b.x).abs() < 1e-8 && (a.y - b.y).abs() < 1e-8, "{a:?} {b:?}");
+        }
+    }
+
+    #[test]
+    fn cylinders_planes_and_nonsense_are_refused() {
+        for (lat_0, lat_1, lat_2) in [
+            (0.0, 30.0, -30.0),
+            (0.0, 0.0, 0.0),
+            (45.0, 90.0, 90.0),
+            (45.0, 45.0, 90.0),
+            (45.0, f64::NAN, 45.0),
+            (91.0, 45.0, 46.0),
+            (90.0, 45.0, 46.0),
+        ] {
+            assert!(matches!(cone(lat_0, lat_1, lat_2), Err(CrsError::Domain { .. })));
+        }
+        let scaled =
+            |k| LambertConic::one_parallel(Ellipsoid::WGS84, (45.0, 0.0), k, (0.0, 0.0)).is_ok();
+        assert!(scaled(0.999) && !scaled(0.0) && !scaled(-1.0) && !scaled(f64::INFINITY));
+    }
+}

@@ -29,7 +29,7 @@ pub use geokeys::GeoKeys;
 pub use helmert::{Convention, DatumStep, Helmert};
 pub use resolve::resolve;
 pub use scale::{ScaleFactor, scale_factor};
-pub use table::closed_form_codes;
+pub use table::{area_of_use, closed_form_codes};
 pub use transverse_mercator::TransverseMercator;
 
 use crate::grid::{LonLat, Projected};
@@ -144,6 +144,37 @@ pub struct CheckReport {
     pub default_operation: String,
     /// PROJ's version.
     pub proj_version: String,
+}
+
+impl CheckReport {
+    /// Agreement that closed forms promise, with the datum step, metres.
+    pub const TOLERANCE_M: f64 = 5e-8;
+
+    /// What the user should know: that the closed form is not what PROJ computes, or that PROJ left
+    /// to itself would take another operation; each names the metres.
+    #[must_use]
+    pub fn warnings(&self, resolved: &ResolvedCrs) -> Vec<String> {
+        let crs = resolved.spec.label();
+        let mut warnings = Vec::new();
+        // So written that NaN warns too.
+        let agrees = self.same_operation_m <= Self::TOLERANCE_M;
+        if !agrees {
+            warnings.push(format!(
+                "{crs}: `{}` and PROJ {} differ by {:.3e} m for the same operation",
+                resolved.operation.provider, self.proj_version, self.same_operation_m
+            ));
+        }
+        if self.default_operation_m > self.same_operation_m.max(Self::TOLERANCE_M) {
+            warnings.push(format!(
+                "{crs}: PROJ {} left to itself would take `{}` here, which lands {:.3} m away from `{}`; `--operation` chooses",
+                self.proj_version,
+                self.default_operation,
+                self.default_operation_m,
+                resolved.operation.name
+            ));
+        }
+        warnings
+    }
 }
 
 /// Why a CRS cannot be served, or a position not be projected.

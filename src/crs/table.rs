@@ -323,6 +323,13 @@ pub fn closed_form_codes() -> impl Iterator<Item = u32> {
     ENTRIES.iter().map(|entry| entry.code)
 }
 
+/// Area of use of a CRS of the table: west, south, east, north, degrees; west above east crosses the
+/// antimeridian.
+#[must_use]
+pub fn area_of_use(epsg: u32) -> Option<[f64; 4]> {
+    entry(epsg).map(|entry| entry.area.bounds())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

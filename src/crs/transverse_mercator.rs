@@ -266,3 +266,89 @@ fn clenshaw(c: &[f64; ORDER], sign: f64, xi: f64, eta: f64) -> (f64, f64) {
 fn domain(what: String) -> CrsError {
     CrsError::Domain { projection: "transverse Mercator".to_owned(), what }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The `j`-th sine coefficient of a function on [0, pi/2] that is odd about both ends' doubles,
+    /// by the midpoint rule, which converges geometrically here.
+    fn sine_coefficient(f: impl Fn(f64) -> f64, j: usize) -> f64 {
+        const N: usize = 64;
+        let term = |k: usize| {
+            let at = (k as f64 + 0.5) / N as f64 * PI / 2.0;
+            f(at) * libm::sin(2.0 * j as f64 * at)
+        };
+        (0..N).map(term).sum::<f64>() * 2.0 / N as f64
+    }
+
+    /// Rectifying latitude, by Simpson's rule over the meridian.
+    fn rectifying(ellipsoid: &Ellipsoid, lat: f64) -> f64 {
+        let arc = |to: f64| {
+            const N: usize = 512;
+            let step = to / N as f64;
+            let weight = |k: usize| match k {
+                0 | N => 1.0,
+                k if k % 2 == 1 => 4.0,
+                _ => 2.0,
+            };
+            let radius = |k: usize| ellipsoid.meridian_radius((k as f64 * step).to_degrees());
+            (0..=N).map(|k| weight(k) * radius(k)).sum::<f64>() * step / 3.0
+        };
+        arc(lat) / arc(PI / 2.0) * (PI / 2.0)
+    }
+
+    #[test]
+    fn forward_coefficients_are_those_of_the_rectifying_in_the_conformal_latitude() {
+        let ellipsoid = Ellipsoid::GRS80;
+        let alpha = coefficients(&ALPHA, ellipsoid.n());
+        for (i, expected) in alpha.iter().enumerate() {
+            let excess = |conformal: f64| {
+                let tan = ellipsoid.geographic_tangent(libm::tan(conformal));
+                rectifying(&ellipsoid, libm::atan(tan)) - conformal
+            };
+            let found = sine_coefficient(excess, i + 1);
+            assert!((found - expected).abs() < 2e-15, "alpha {}: {found:e} {expected:e}", i + 1);
+        }
+    }
+
+    #[test]
+    fn inverse_coefficients_undo_the_forward_ones() {
+        // On the meridian both series are real; an ellipsoid 10 times flatter shows a wrong term.
+        for (f, bound) in [(1.0 / 298.257_222_101, 5e-16), (1.0 / 30.0, 1e-13)] {
+            let n = Ellipsoid { a: 1.0, f }.n();
+            let (alpha, beta) = (coefficients(&ALPHA, n), coefficients(&BETA, n));
+            for k in 0..=90 {
+                let chi = f64::from(k).to_radians();
+                let (xi, _) = clenshaw(&alpha, 1.0, chi, 0.0);
+                let (back, _) = clenshaw(&beta, -1.0, xi, 0.0);
+                assert!((back - chi).abs() < bound, "{k}: {:e}", back - chi);
+            }
+        }
+    }
+
+    #[test]
+    fn clenshaw_is_the_sum() {
+        let c = coefficients(&ALPHA, 0.01);
+        let (xi, eta) = (0.7, 0.9);
+        let (mut x, mut y) = (xi, eta);
+        for (j, c) in c.iter().enumerate() {
+            let m = 2.0 * (j + 1) as f64;
+            x += c * libm::sin(m * xi) * libm::cosh(m * eta);
+            y += c * libm::cos(m * xi) * libm::sinh(m * eta);
+        }
+        let found = clenshaw(&c, 1.0, xi, eta);
+        assert!((found.0 - x).abs() < 1e-14 && (found.1 - y).abs() < 1e-14);
+    }
+
+    #[test]
+    fn senseless_parameters_are_refused() {
+        let new = |lat, lon, k, x| {
+            TransverseMercator::new(Ellipsoid::WGS84, (lat, lon), k, (x, 0.0)).is_ok()
+        };
+        assert!(new(90.0, 0.0, 1.0, 0.0));
+        assert!(!new(91.0, 0.0, 1.0, 0.0) && !new(f64::NAN, 0.0, 1.0, 0.0));
+        assert!(!new(0.0, f64::INFINITY, 1.0, 0.0) && !new(0.0, 0.0, 0.0, 0.0));
+        assert!(!new(0.0, 0.0, f64::NAN, 0.0) && !new(0.0, 0.0, 1.0, f64::NAN));
+    }
+}

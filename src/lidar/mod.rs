@@ -16,7 +16,7 @@ mod store;
 mod warp;
 
 pub use index::{TileFootprint, TileIndex};
-pub use lattice::{Lattice, LatticeWindow};
+pub use lattice::{Lattice, LatticeWindow, PHASE_BITS};
 pub use pixel_map::{FitErrors, PixelMap, PixelToCrs, TransformForm};
 pub use resample::{EdgeRule, Resampling};
 pub use store::{CacheStatistics, TileStore};

@@ -267,8 +267,8 @@ impl PixelMap {
         self.exact.size()
     }
 
-    /// Lattice coordinates of `columns` of pixel row `y`, at centres (`offset` 0.5) or corners
-    /// (`offset` 0).
+    /// Appends the lattice coordinates of `columns` of pixel row `y`, at centres (`offset` 0.5) or
+    /// corners (`offset` 0).
     ///
     /// # Errors
     /// The projection is undefined there (exact form only).
@@ -280,8 +280,6 @@ impl PixelMap {
         cols: &mut Vec<f64>,
         rows: &mut Vec<f64>,
     ) -> Result<(), CrsError> {
-        cols.clear();
-        rows.clear();
         let (width, height) = self.exact.size();
         let Some(polynomial) = &self.polynomial else {
             for x in columns {
@@ -418,6 +416,7 @@ mod tests {
         let (mut ac, mut ar, mut bc, mut br) = (vec![], vec![], vec![], vec![]);
         let mut worst: f64 = 0.0;
         for y in (0..640).step_by(13).chain([639]) {
+            [&mut ac, &mut ar, &mut bc, &mut br].into_iter().for_each(Vec::clear);
             a.fill_row(y, 0..640, 0.5, &mut ac, &mut ar).expect("row");
             b.fill_row(y, 0..640, 0.5, &mut bc, &mut br).expect("row");
             for k in 0..640 {

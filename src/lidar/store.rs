@@ -16,7 +16,7 @@ use std::time::Instant;
 const IDLE_READERS: usize = 64;
 
 /// What the cache did.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct CacheStatistics {
     /// Blocks that were decoded, each time counted.
     pub blocks_decoded: u64,

@@ -137,8 +137,6 @@ pub fn warp(
 struct Scratch {
     cols: Vec<f64>,
     rows: Vec<f64>,
-    line_cols: Vec<f64>,
-    line_rows: Vec<f64>,
     cells: Vec<f32>,
     ids: Vec<u16>,
 }
@@ -171,9 +169,6 @@ impl Job<'_> {
             for y in block.y0..block.y1 {
                 let line = y as usize * image_width;
                 out[line + block.x0 as usize..line + block.x1 as usize].fill(f32::NAN);
-                if let Some(ids) = ids.as_deref() {
-                    debug_assert_eq!(ids.len(), out.len());
-                }
             }
             if let Some(ids) = ids {
                 for y in block.y0..block.y1 {
@@ -205,26 +200,20 @@ impl Job<'_> {
     /// Coordinates of every pixel of a block: centres, or corners (one more each way) for averages.
     fn coordinates(&mut self, block: Block, corners: bool) -> Result<(), WarpError> {
         let (extra, offset) = if corners { (1, 0.0) } else { (0, 0.5) };
-        let Scratch { cols, rows, line_cols, line_rows, .. } = &mut self.scratch;
+        let Scratch { cols, rows, .. } = &mut self.scratch;
         cols.clear();
         rows.clear();
         for y in block.y0..block.y1 + extra {
-            self.map.fill_row(y, block.x0..block.x1 + extra, offset, line_cols, line_rows)?;
-            cols.extend_from_slice(line_cols);
-            rows.extend_from_slice(line_rows);
+            self.map.fill_row(y, block.x0..block.x1 + extra, offset, cols, rows)?;
         }
         Ok(())
     }
 
     /// The cells that the block's kernel touches; `None` if a coordinate is not finite.
     fn window(&self) -> Option<LatticeWindow> {
+        // Beyond 2^52 neighbouring cells could not be told apart.
         let range = |values: &[f64]| {
-            let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-            for &v in values {
-                low = low.min(v);
-                high = high.max(v);
-            }
-            // Beyond 2^52 neighbouring cells could not be told apart.
+            let (low, high) = extremes(values);
             (low.abs() < 4.5e15 && high.abs() < 4.5e15).then_some((low, high))
         };
         let (left, right) = range(&self.scratch.cols)?;
@@ -242,17 +231,10 @@ impl Job<'_> {
 
     fn measure_slope(&mut self, window: LatticeWindow) {
         let cells = &self.scratch.cells;
-        let step = |a: &[f32], b: &[f32]| {
-            // NaN compares false, so a step into a hole is no step.
-            a.iter().zip(b).fold(0.0_f32, |top, (a, b)| {
-                let d = (a - b).abs();
-                if d > top { d } else { top }
-            })
-        };
         for line in cells.chunks_exact(window.width) {
-            self.slope.0 = self.slope.0.max(f64::from(step(line, &line[1..])));
+            self.slope.0 = self.slope.0.max(f64::from(steepest_step(line, &line[1..])));
         }
-        self.slope.1 = self.slope.1.max(f64::from(step(cells, &cells[window.width..])));
+        self.slope.1 = self.slope.1.max(f64::from(steepest_step(cells, &cells[window.width..])));
     }
 
     fn fill(
@@ -310,6 +292,41 @@ impl Job<'_> {
     }
 }
 
+/// Values compared side by side, so that no comparison waits for the one before.
+const LANES: usize = 8;
+
+/// Lowest and highest of some finite values; not finite if one is not.
+fn extremes(values: &[f64]) -> (f64, f64) {
+    let (mut low, mut high) = ([f64::INFINITY; LANES], [f64::NEG_INFINITY; LANES]);
+    // A NaN or an infinity makes its lane's sum NaN for good.
+    let mut poison = [0.0_f64; LANES];
+    for group in values.chunks(LANES) {
+        for (lane, &value) in group.iter().enumerate() {
+            low[lane] = if value < low[lane] { value } else { low[lane] };
+            high[lane] = if value > high[lane] { value } else { high[lane] };
+            poison[lane] += 0.0 * value;
+        }
+    }
+    let poison: f64 = poison.iter().sum();
+    (
+        low.into_iter().fold(f64::INFINITY, f64::min) + poison,
+        high.into_iter().fold(f64::NEG_INFINITY, f64::max) + poison,
+    )
+}
+
+/// Largest absolute difference of cells in the same place; a step into a hole is no step, because
+/// comparisons with NaN are false.
+fn steepest_step(a: &[f32], b: &[f32]) -> f32 {
+    let mut top = [0.0_f32; LANES];
+    for (a, b) in a.chunks(LANES).zip(b.chunks(LANES)) {
+        for (lane, (a, b)) in a.iter().zip(b).enumerate() {
+            let step = (a - b).abs();
+            top[lane] = if step > top[lane] { step } else { top[lane] };
+        }
+    }
+    top.into_iter().fold(0.0, f32::max)
+}
+
 /// Cuts a block across its longer side; a single pixel cannot be cut.
 fn split(block: Block) -> Option<[Block; 2]> {
     let (width, height) = (block.x1 - block.x0, block.y1 - block.y0);
@@ -323,4 +340,44 @@ fn split(block: Block) -> Option<[Block; 2]> {
         let y = block.y0 + height / 2;
         [Block { y1: y, ..block }, Block { y0: y, ..block }]
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn extremes_are_those_of_the_values_and_never_hide_what_is_not_finite() {
+        let values: Vec<f64> = (0..37).map(|k| f64::from((k * 29) % 37) - 11.0).collect();
+        assert_eq!(extremes(&values), (-11.0, 25.0));
+        for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+            for at in [0, 7, 8, 36] {
+                let mut values = values.clone();
+                values[at] = bad;
+                let (low, high) = extremes(&values);
+                assert!(!low.is_finite() && !high.is_finite(), "{bad} at {at}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_step_into_a_hole_is_no_step() {
+        let a = [1.0, f32::NAN, 5.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 9.5];
+        let b = [2.0, 900.0, f32::NAN, 2.5, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0];
+        assert_eq!(steepest_step(&a, &b), 7.5);
+        assert_eq!(steepest_step(&[], &[]), 0.0);
+    }
+
+    #[test]
+    fn blocks_are_cut_down_to_single_pixels() {
+        let mut blocks = vec![Block { x0: 3, x1: 10, y0: 1, y1: 6 }];
+        let mut pixels = 0;
+        while let Some(block) = blocks.pop() {
+            match split(block) {
+                Some(halves) => blocks.extend(halves),
+                None => pixels += (block.x1 - block.x0) * (block.y1 - block.y0),
+            }
+        }
+        assert_eq!(pixels, 35);
+    }
 }

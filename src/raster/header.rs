@@ -25,6 +25,26 @@ impl RasterHeader {
     /// # Errors
     /// [`RasterError::Unusable`] with the reason and what to do.
     pub fn check_usable(&self) -> Result<(), RasterError> {
+        self.check_grid()?;
+        let reason = match &self.crs {
+            None => "the raster has no coordinate reference system; state it with --crs, or write \
+                     it into the file with gdal_edit.py -a_srs"
+                .to_owned(),
+            Some(crs) if crs.geographic => format!(
+                "the raster's pixels are in degrees (CRS `{}`); project it first, for example with \
+                 gdalwarp -t_srs to the UTM zone",
+                crs.name
+            ),
+            Some(_) => return Ok(()),
+        };
+        Err(RasterError::Unusable { path: self.path.clone(), reason })
+    }
+
+    /// Whether the raster is a north-up grid with a size, whatever its CRS.
+    ///
+    /// # Errors
+    /// [`RasterError::Unusable`] with the reason and what to do.
+    pub fn check_grid(&self) -> Result<(), RasterError> {
         let c = &self.geotransform.0;
         let reason = if self.width == 0 || self.height == 0 {
             format!("the raster has zero size ({} x {} pixels)", self.width, self.height)
@@ -45,17 +65,7 @@ impl RasterHeader {
                 c[1], c[5]
             )
         } else {
-            match &self.crs {
-                None => "the raster has no coordinate reference system; state it with --crs, or \
-                         write it into the file with gdal_edit.py -a_srs"
-                    .to_owned(),
-                Some(crs) if crs.geographic => format!(
-                    "the raster's pixels are in degrees (CRS `{}`); project it first, for example \
-                     with gdalwarp -t_srs to the UTM zone",
-                    crs.name
-                ),
-                Some(_) => return Ok(()),
-            }
+            return Ok(());
         };
         Err(RasterError::Unusable { path: self.path.clone(), reason })
     }

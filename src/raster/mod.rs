@@ -8,8 +8,10 @@
 mod gdal_reader;
 #[cfg(feature = "gdal")]
 mod gdal_setup;
+pub mod geotiff;
 mod header;
 mod list;
+pub mod preview;
 mod sample;
 mod tiff_codec;
 mod tiff_directory;
@@ -24,6 +26,9 @@ pub use tiff_reader::TiffReader;
 
 #[cfg(feature = "gdal")]
 pub(crate) use gdal_setup::limit_gdal_cache;
+
+pub mod deflate;
+pub mod npz;
 
 use crate::crs::CrsSpec;
 use crate::grid::GeoTransform;

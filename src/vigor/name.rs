@@ -14,6 +14,14 @@ pub enum NameError {
         /// The name as found.
         name: String,
     },
+    /// The name is not `<id>,<lat>,<lon>,.jpg`.
+    #[error(
+        "`{name}` is not named <id>,<lat>,<lon>,.jpg (for example EPdy_ww,47.582113,-122.314680,.jpg)"
+    )]
+    Panorama {
+        /// The name as found.
+        name: String,
+    },
     /// A coordinate of the name is no finite number or lies outside the globe.
     #[error("`{name}`: {axis} `{value}` is not a number of degrees between -{limit} and {limit}")]
     Coordinate {
@@ -80,7 +88,13 @@ impl SatelliteName {
     }
 }
 
-fn coordinate(name: &str, axis: &'static str, text: &str, limit: u8) -> Result<f64, NameError> {
+/// A coordinate in degrees, at most `limit` away from zero.
+pub(super) fn coordinate(
+    name: &str,
+    axis: &'static str,
+    text: &str,
+    limit: u8,
+) -> Result<f64, NameError> {
     text.parse::<f64>()
         .ok()
         // `parse` also reads "nan" and "inf", which are no coordinates.

@@ -1,0 +1,96 @@
+//! What is known of one image after its work: a line of the journal, a row of the manifest.
+
+use crate::batch::Status;
+use serde::{Deserialize, Serialize};
+
+/// One file written for an image.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct OutputFile {
+    /// Path relative to the output folder, `/` between parts.
+    pub file: String,
+    /// Size in bytes.
+    pub bytes: u64,
+    /// SHA-256, hexadecimal.
+    pub sha256: String,
+}
+
+/// How one image ended, with what is worth knowing of its DSM. Holds no times, hosts or thread
+/// counts: the same input gives the same record.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Record {
+    /// Stem of the image's name.
+    pub name: String,
+    /// Done, skipped or failed.
+    pub status: Status,
+    /// Why it was skipped or failed; empty when done.
+    pub reason: String,
+    /// Latitude of the centre, degrees.
+    pub lat_deg: Option<f64>,
+    /// Longitude of the centre, degrees.
+    pub lon_deg: Option<f64>,
+    /// Fingerprint of the inputs: candidate tiles with size and time. In the journal only, since
+    /// times differ between machines.
+    #[serde(default)]
+    pub inputs: String,
+    /// File names of the tiles that gave pixels.
+    pub tiles: Vec<String>,
+    /// Number of tiles whose outline meets the image's.
+    pub candidates: u64,
+    /// Pixels without data, per cent.
+    pub nan_pct: Option<f64>,
+    /// Pixels without data in the best mosaic of the candidates, where `best-tile` was not enough.
+    pub mosaic_nan_pct: Option<f64>,
+    /// Form of the transform used.
+    pub transform: Option<String>,
+    /// Bound on the displacement of the transform, metres.
+    pub transform_bound_m: Option<f64>,
+    /// Lowest height, metres.
+    pub min_m: Option<f64>,
+    /// Highest height, metres.
+    pub max_m: Option<f64>,
+    /// Mean height, metres.
+    pub mean_m: Option<f64>,
+    /// Steepest gradient between neighbouring lidar cells in the footprint, metres per metre.
+    pub steepest: Option<f64>,
+    /// Bound on the error of height that all steps together make, metres; `None` for `nearest`,
+    /// which steps from cell to cell.
+    pub height_bound_m: Option<f64>,
+    /// Pixels whose validity could flip within the horizontal bound.
+    pub uncertain_px: Option<u64>,
+    /// Pixels without bare-earth data, per cent, where a `dtm` was asked for.
+    pub dtm_nan_pct: Option<f64>,
+    /// Things to look at, for example heights implausible for the unit.
+    pub flags: Vec<String>,
+    /// Files written.
+    pub outputs: Vec<OutputFile>,
+}
+
+impl Record {
+    /// A record of an image that gave nothing.
+    #[must_use]
+    pub fn without_output(name: &str, status: Status, reason: String) -> Self {
+        Self {
+            name: name.to_owned(),
+            status,
+            reason,
+            lat_deg: None,
+            lon_deg: None,
+            inputs: String::new(),
+            tiles: Vec::new(),
+            candidates: 0,
+            nan_pct: None,
+            mosaic_nan_pct: None,
+            transform: None,
+            transform_bound_m: None,
+            min_m: None,
+            max_m: None,
+            mean_m: None,
+            steepest: None,
+            height_bound_m: None,
+            uncertain_px: None,
+            dtm_nan_pct: None,
+            flags: Vec::new(),
+            outputs: Vec::new(),
+        }
+    }
+}
