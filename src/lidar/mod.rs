@@ -4,7 +4,7 @@
 //! * [`Lattice`]: the endless pixel lattice that a tile is a window of; tiles on one lattice can act
 //!   as one raster.
 //! * [`PixelMap`]: image pixel -> lattice coordinate, exactly or by a bounded polynomial.
-//! * [`Resampling`] and [`warp`]: GDAL's resampling rules, NaN-aware.
+//! * [`Resampling`] and [`warp()`]: GDAL's resampling rules, NaN-aware.
 //! * [`TileIndex`]: footprints in an R-tree.
 //! * [`TileStore`]: the tiles themselves, read through one bounded block cache.
 

@@ -6,11 +6,11 @@
 //! file and its position: no stream of random numbers is shared, so that the bytes do not depend
 //! on the number of threads.
 //!
-//! * [`SceneSpec`]: what a scene file says ([`spec`]), checked ([`validate`]).
+//! * [`SceneSpec`]: what a scene file says ([`spec`]), checked (`validate`).
 //! * [`effects`]: the plan; each effect has a bound, a cost and a cause.
-//! * [`terrain`], [`streets`], [`layout`], [`solid`], [`world`], [`epoch`]: the scene itself.
-//! * [`render`], [`ground`], [`materials`], [`shadows`]: pictures.
-//! * [`lidar`], [`truth`], [`vigor_files`], [`simulate`]: what is written.
+//! * [`terrain`], [`streets`], [`layout`], [`solid`], [`world`], `epoch`: the scene itself.
+//! * `render`, `ground`, `materials`, `shadows`: pictures.
+//! * [`lidar`], [`truth`], [`vigor_files`], [`simulate()`]: what is written.
 
 pub mod effects;
 mod epoch;

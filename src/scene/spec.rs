@@ -1,7 +1,7 @@
 //! What a scene file says: the TOML tables, their keys, units and defaults.
 //!
 //! Every key has a default, so that an empty file is a scene; unknown keys are refused. Values are
-//! checked in [`super::validate`].
+//! checked in `super::validate`.
 
 use serde::{Deserialize, Serialize};
 

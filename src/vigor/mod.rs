@@ -1,7 +1,7 @@
 //! The VIGOR data set: names, folder layout, label and split files, and their ingest.
 //!
 //! Data flows one way: [`Layout`] says where things lie, [`Dataset`] reads the text files,
-//! [`measure`] finds where each panorama really lies in its images, [`Ingest`] puts it together
+//! [`measure()`] finds where each panorama really lies in its images, [`Ingest`] puts it together
 //! with the image checks, and the manifest and the [`Summary`] say the result.
 
 mod city;
