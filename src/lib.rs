@@ -7,9 +7,11 @@
 pub mod batch;
 pub mod crs;
 pub mod dsm_bench;
+pub mod eval;
 pub mod grid;
 pub mod lidar;
 pub mod plan;
+pub mod random;
 pub mod raster;
 pub mod recipe;
 pub mod scene;

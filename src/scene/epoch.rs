@@ -5,11 +5,11 @@
 //! down, felled or moved by the time of the images.
 
 use super::effects::{Effect, Effects};
-use super::hash::{key, unit};
 use super::object::{Epoch, Kind, Object};
 use super::purpose;
 use super::solid::{Crown, Shape};
 use super::spec::{SceneSpec, Season};
+use crate::random::{key, unit};
 
 /// Share of a bare crown that lets pulses and light pass.
 const BARE_POROSITY: f32 = 0.62;

@@ -45,7 +45,7 @@ impl GroundPaint {
         let patches: Vec<Patch> = layout.patches.iter().rev().copied().collect();
         let boxes: Vec<Bounds> = patches.iter().map(|p| p.rect.bounds()).collect();
         let grid = CellGrid::new(area, &boxes);
-        let seed = super::hash::mix(seed) as u32;
+        let seed = crate::random::mix(seed) as u32;
         Self { patches, grid, uses: layout.uses.clone(), season, seed }
     }
 

@@ -155,7 +155,7 @@ impl CellGrid {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::hash::Draw;
+    use crate::random::Draw;
 
     #[test]
     fn points_and_segments_find_every_box_that_a_search_finds() {

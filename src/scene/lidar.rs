@@ -6,13 +6,13 @@
 use super::effects::Effect;
 use super::error::SceneError;
 use super::frame::LIDAR_CRS;
-use super::hash::{Draw, key, normal, unit};
 use super::object::{Class, Epoch};
 use super::purpose;
 use super::spec::{TileCompression, TileSpec, TileStorage};
 use super::surface::Scene;
 use crate::batch::{Interrupt, Progress};
 use crate::grid::GeoTransform;
+use crate::random::{Draw, key, normal, unit};
 use crate::raster::geotiff::{Compression, GeoTiffSpec, GeoTiffWriter, Layout};
 use crate::units::{LinearUnit, US_SURVEY_FOOT_M};
 use rayon::prelude::*;

@@ -17,7 +17,6 @@ mod epoch;
 mod error;
 pub mod frame;
 mod ground;
-pub mod hash;
 mod index;
 pub mod layout;
 pub mod lidar;

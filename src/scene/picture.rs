@@ -146,7 +146,7 @@ fn widest_channel(bins: &[Bin]) -> (usize, u64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::hash::mix;
+    use crate::random::mix;
 
     fn decode(bytes: &[u8]) -> image::DynamicImage {
         image::load_from_memory(bytes).expect("a PNG")

@@ -5,7 +5,6 @@
 
 use super::effects::Effect;
 use super::ground::{Paint, mix, scale};
-use super::hash::{key, normal};
 use super::layout::SHORE_STRIP_M;
 use super::materials;
 use super::object::{Class, Colour, Epoch, rgb};
@@ -13,6 +12,7 @@ use super::pixels::PixelPositions;
 use super::solid::Face;
 use super::surface::Scene;
 use super::world::Seen;
+use crate::random::{key, normal};
 use rayon::prelude::*;
 
 /// One look at the scene.

@@ -2,7 +2,6 @@
 
 use super::effects::Effect;
 use super::error::SceneError;
-use super::hash::key;
 use super::lidar::{Layer, Survey, Tile, tiles};
 use super::object::Object;
 use super::picture;
@@ -13,6 +12,7 @@ use super::truth::{self, Truth};
 use super::vigor_files::{self, Image, Panorama};
 use crate::batch::{Interrupt, Progress, write_atomic};
 use crate::grid::ImageGrid;
+use crate::random::key;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::path::{Path, PathBuf};

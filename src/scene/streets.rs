@@ -3,8 +3,8 @@
 //! Street coordinates `(s, t)`: t along the grid's azimuth, s to its right. Streets of family 0 run
 //! along t (at fixed s), those of family 1 along s.
 
-use super::hash::Draw;
 use super::spec::StreetSpec;
+use crate::random::Draw;
 use serde::Serialize;
 
 /// Half the width of an arterial road's carriageway, metres (four lanes).

@@ -4,8 +4,8 @@
 //! a curved shoreline over a strip that is the wider the higher the land stands; the blend is the
 //! quintic smoothstep, so that the second derivative is continuous too.
 
-use super::hash::Draw;
 use super::spec::{SceneSpec, Side, WaterSpec};
+use crate::random::Draw;
 use std::f64::consts::TAU;
 
 /// Least distance from the shore over which the land comes down to the water, metres.

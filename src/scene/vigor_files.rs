@@ -5,11 +5,11 @@
 //! same over 0.114 m, not rounded. Readers can then be held to the true positions in `scene.json`.
 
 use super::error::SceneError;
-use super::hash::Draw;
 use super::purpose;
 use super::surface::Scene;
 use crate::crs::{CrsSpec, Projection, ResolveOptions, resolve};
 use crate::grid::{ImageGrid, LonLat, PixelPoint};
+use crate::random::Draw;
 use crate::units::US_SURVEY_FOOT_M;
 use serde::Serialize;
 use std::fmt::Write as _;

@@ -186,7 +186,7 @@ impl World {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::hash::Draw;
+    use crate::random::Draw;
     use crate::scene::object::{Kind, Part, rgb};
     use crate::scene::shape::Rect;
     use crate::scene::solid::{Prism, flat};

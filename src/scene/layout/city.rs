@@ -3,7 +3,7 @@
 use super::plants::jitter;
 use super::suburb::FOUNDATION_M;
 use super::{Builder, Frame};
-use crate::scene::hash::Draw;
+use crate::random::Draw;
 use crate::scene::object::{Class, Colour, Cover, Covering, Finish, Kind, Part, rgb};
 use crate::scene::purpose;
 use crate::scene::shape::Rect;

@@ -11,13 +11,13 @@ mod traffic;
 
 pub(in crate::scene) use city::STALL_WIDTH_M;
 
-use super::hash::{Draw, key};
 use super::object::{Cover, Epoch, Kind, Object, Part, Patch};
 use super::purpose;
 use super::shape::{Bounds, Rect};
 use super::spec::SceneSpec;
 use super::streets::{BlockArea, Streets};
 use super::terrain::Terrain;
+use crate::random::{Draw, key};
 use serde::Serialize;
 use std::collections::BTreeMap;
 

@@ -2,7 +2,7 @@
 
 use super::Builder;
 use super::plants::jitter;
-use crate::scene::hash::Draw;
+use crate::random::Draw;
 use crate::scene::object::{Class, Cover, Finish, Kind, Part, rgb};
 use crate::scene::purpose;
 use crate::scene::shape::Rect;

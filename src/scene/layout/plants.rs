@@ -1,7 +1,7 @@
 //! Trees, shrubs and hedges: crowns of spheroids over empty space, on trunks.
 
 use super::Builder;
-use crate::scene::hash::Draw;
+use crate::random::Draw;
 use crate::scene::object::{Class, Colour, Finish, Kind, Part, rgb};
 use crate::scene::shape::Rect;
 use crate::scene::solid::{Crown, Cylinder, Prism, Puff, Shape, flat};

@@ -1,7 +1,7 @@
 //! Cars, street trees and lamp posts along the streets.
 
 use super::{Builder, SHORE_STRIP_M, Use};
-use crate::scene::hash::Draw;
+use crate::random::Draw;
 use crate::scene::object::{Class, Colour, Finish, Kind, Part, rgb};
 use crate::scene::purpose;
 use crate::scene::shape::Rect;
