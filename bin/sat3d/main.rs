@@ -3,6 +3,7 @@
 mod completions;
 mod console;
 mod dsm_bench;
+mod eval;
 mod run;
 mod simulate;
 mod vigor;
@@ -30,6 +31,7 @@ pub(crate) struct Cli {
 #[derive(Subcommand, Debug)]
 pub(crate) enum Command {
     DsmBench(dsm_bench::Args),
+    Eval(Box<eval::Args>),
     Run(run::Args),
     Simulate(simulate::Args),
     Completions(completions::Args),
@@ -44,6 +46,7 @@ pub(crate) enum Command {
 pub(crate) fn dispatch(command: &Command) -> anyhow::Result<ExitCode> {
     match command {
         Command::DsmBench(args) => dsm_bench::run(args),
+        Command::Eval(args) => eval::run(args),
         Command::Run(args) => run::run(args),
         Command::Simulate(args) => simulate::run(args),
         Command::Completions(args) => completions::run(args),

@@ -305,11 +305,7 @@ impl SingleRaster {
         let mut out = vec![f32::NAN; width * height];
         if self.lies_on(grid) {
             self.store.read_window(0, 0, 0, width, height, &mut out)?;
-            if self.metres_per_height != 1.0 {
-                for value in &mut out {
-                    *value = (f64::from(*value) * self.metres_per_height) as f32;
-                }
-            }
+            self.to_metres(&mut out);
             return Ok(out);
         }
         match self.warp(grid, resampling, edge, &mut out) {
@@ -353,6 +349,32 @@ impl SingleRaster {
         };
         warp(&map, self, &settings, out, None)?;
         Ok(())
+    }
+
+    /// The whole raster on its own grid, row-major, NaN where it has no data.
+    ///
+    /// # Errors
+    /// [`SingleRasterError`] when a block cannot be read.
+    pub fn whole(&self) -> Result<Vec<f32>, SingleRasterError> {
+        let (width, height) = (self.window.width, self.window.height);
+        let mut out = vec![f32::NAN; width * height];
+        self.store.read_window(0, 0, 0, width, height, &mut out)?;
+        self.to_metres(&mut out);
+        Ok(out)
+    }
+
+    /// How the raster lies on the globe.
+    #[must_use]
+    pub const fn placement(&self) -> &Placement {
+        &self.placement
+    }
+
+    fn to_metres(&self, heights: &mut [f32]) {
+        if self.metres_per_height != 1.0 {
+            for value in heights {
+                *value = (f64::from(*value) * self.metres_per_height) as f32;
+            }
+        }
     }
 
     /// Whether the raster's pixels are the grid's.

@@ -15,7 +15,7 @@ const NO_STEPS: [&str; 3] = ["run", "completions", "help"];
 const WHOLE_CHAIN: [&str; 7] = ["explain", "json", "verbose", "quiet", "log", "help", "version"];
 
 /// Arguments that name what a step makes, not what it needs.
-const OUTPUTS: [&str; 2] = ["out", "output"];
+const OUTPUTS: [&str; 7] = ["out", "output", "report", "csv", "parquet", "errors", "parts"];
 
 /// Folders that relative paths belong to.
 #[derive(Clone, Copy, Debug)]
