@@ -6,6 +6,7 @@
 //! `error = prediction - (aligned truth - vertical offset)`.
 
 mod coregister;
+mod fit;
 mod offset;
 mod phase;
 mod resample;

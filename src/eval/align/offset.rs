@@ -99,7 +99,8 @@ fn ransac(differences: &mut [f64], seed: u64) -> Consensus {
     for attempt in 0..DRAWS {
         sample(&mut draw, differences.len(), &mut ranks);
         ranks.sort_unstable();
-        let candidate = 0.5 * differences[ranks[SAMPLE / 2 - 1]] + 0.5 * differences[ranks[SAMPLE / 2]];
+        let candidate =
+            0.5 * differences[ranks[SAMPLE / 2 - 1]] + 0.5 * differences[ranks[SAMPLE / 2]];
         let inliers = within(differences, candidate);
         if attempt == 0 || inliers.len() > best.1.len() {
             best = (candidate, inliers);

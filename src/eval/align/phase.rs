@@ -88,10 +88,7 @@ impl PhaseCorrelator {
         self.scratch.resize(longest.max(self.scratch.len()), zero);
         self.image.clear();
         self.image.extend(
-            reference
-                .iter()
-                .zip(moving)
-                .map(|(a, b)| Complex64::new(f64::from(*a), f64::from(*b))),
+            reference.iter().zip(moving).map(|(a, b)| Complex64::new(f64::from(*a), f64::from(*b))),
         );
         plans.rows_forward.process_with_scratch(&mut self.image, &mut self.scratch);
         self.spectrum.resize(width * height, zero);

@@ -4,7 +4,8 @@
 //! A coordinate is inside when it lies in `[0, n - 1]`. Each value has two taps per axis even where
 //! the second has weight 0, and a tap without data makes the value no data whatever its weight: that
 //! is what `SciPy` does, and it decides which pixels the published scores are taken over. At the last
-//! row or column the second tap is mirrored.
+//! row or column the second tap is mirrored. Only where a shift comes from another protocol does a
+//! tap of weight 0 not count.
 
 use super::{Alignment, AlignmentFlag, Shift};
 use crate::eval::Surface;
@@ -33,6 +34,15 @@ impl Taps {
     }
 }
 
+/// Whether a second tap of weight 0 counts.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Weightless {
+    /// As in `SciPy`: without data, it makes the value no data.
+    Counts,
+    /// It is not looked at.
+    Ignored,
+}
+
 /// Interpolates; sums in the order of rows, then columns.
 fn blend<T: Copy + Into<f64>>(values: &[T], width: usize, rows: Taps, columns: Taps) -> f64 {
     let value = |row: usize, column: usize| -> f64 { values[row * width + column].into() };
@@ -54,8 +64,7 @@ pub(super) struct Rotation {
 impl Rotation {
     /// Rotation by an angle in degrees, sign of `scipy.ndimage.rotate`.
     pub(super) fn new(angle_deg: f64, width: usize, height: usize) -> Self {
-        let (cosine, sine) =
-            (libm::cos(angle_deg.to_radians()), libm::sin(angle_deg.to_radians()));
+        let (cosine, sine) = (libm::cos(angle_deg.to_radians()), libm::sin(angle_deg.to_radians()));
         let (row, column) = ((height as f64 - 1.0) / 2.0, (width as f64 - 1.0) / 2.0);
         Self {
             cosine,
@@ -84,11 +93,11 @@ impl Rotation {
     pub(super) fn inside(&self, row: usize, width: usize, height: usize) -> (usize, usize) {
         let (mut low, mut high) = (0.0_f64, width as f64 - 1.0);
         let start = self.source(row, 0);
-        for (at, step, last) in [
-            (start.0, self.sine, height as f64 - 1.0),
-            (start.1, self.cosine, width as f64 - 1.0),
-        ] {
-            if step != 0.0 {
+        for (at, step, last) in
+            [(start.0, self.sine, height as f64 - 1.0), (start.1, self.cosine, width as f64 - 1.0)]
+        {
+            // A slower change is lost in rounding; the exact test below does for it.
+            if step.abs() > 1e-6 {
                 let (a, b) = (-at / step, (last - at) / step);
                 low = low.max(a.min(b));
                 high = high.min(a.max(b));
@@ -107,11 +116,17 @@ impl Rotation {
         while begin < end && !inside(end - 1) {
             end -= 1;
         }
-        (begin, end.max(begin))
+        if begin < end { (begin, end) } else { (0, 0) }
     }
 
     /// The shade at a source coordinate, rounded, as `SciPy` computes it; 0 outside.
-    pub(super) fn shade(&self, shades: &[u8], width: usize, height: usize, at: (usize, usize)) -> u8 {
+    pub(super) fn shade(
+        &self,
+        shades: &[u8],
+        width: usize,
+        height: usize,
+        at: (usize, usize),
+    ) -> u8 {
         let (row, column) = self.source(at.0, at.1);
         match (Taps::at(row, height), Taps::at(column, width)) {
             (Some(rows), Some(columns)) => round_shade(blend(shades, width, rows, columns)),
@@ -149,14 +164,21 @@ pub(super) fn shift_shades(
 }
 
 /// Shifts heights; no data outside.
-fn shift_heights(layer: &Surface, shift: Shift) -> Surface {
-    let columns = shift_taps(layer.width, shift.x);
-    let mut values = Vec::with_capacity(layer.values.len());
-    for rows in shift_taps(layer.height, shift.y) {
-        values.extend(columns.iter().map(|columns| match (rows, *columns) {
-            (Some(rows), Some(columns)) => {
-                blend(&layer.values, layer.width, rows, columns) as f32
+pub(super) fn shift_heights(layer: &Surface, shift: Shift, weightless: Weightless) -> Surface {
+    let taps = |count: usize, shift: f64| {
+        let mut taps = shift_taps(count, shift);
+        if weightless == Weightless::Ignored {
+            for taps in taps.iter_mut().flatten().filter(|taps| taps.second_weight == 0.0) {
+                taps.second = taps.first;
             }
+        }
+        taps
+    };
+    let columns = taps(layer.width, shift.x);
+    let mut values = Vec::with_capacity(layer.values.len());
+    for rows in taps(layer.height, shift.y) {
+        values.extend(columns.iter().map(|columns| match (rows, *columns) {
+            (Some(rows), Some(columns)) => blend(&layer.values, layer.width, rows, columns) as f32,
             _ => f32::NAN,
         }));
     }
@@ -220,9 +242,9 @@ pub fn apply(alignment: &Alignment, layer: &Surface) -> Surface {
     let layer = super::finite(layer);
     match Steps::of(alignment) {
         Steps::Keep => layer.into_owned(),
-        Steps::Shift => shift_heights(&layer, alignment.shift_px),
+        Steps::Shift => shift_heights(&layer, alignment.shift_px, Weightless::Ignored),
         Steps::ShiftAndRotate => rotate_heights(
-            &shift_heights(&layer, alignment.shift_px),
+            &shift_heights(&layer, alignment.shift_px, Weightless::Counts),
             alignment.rotation_deg,
         ),
     }

@@ -9,11 +9,8 @@ pub(super) fn shade(heights: &[f32], keys: &mut Vec<u32>, shades: &mut Vec<u8>) 
     shades.clear();
     keys.clear();
     keys.extend(heights.iter().filter(|v| !v.is_nan()).map(|v| sortable(*v)));
-    let limits = if keys.is_empty() {
-        None
-    } else {
-        Some((percentile(keys, 2.0), percentile(keys, 98.0)))
-    };
+    let limits =
+        if keys.is_empty() { None } else { Some((percentile(keys, 2.0), percentile(keys, 98.0))) };
     match limits {
         // A range that overflows carries no shades either.
         Some((low, high)) if low < high && (high - low).is_finite() => {
@@ -83,7 +80,10 @@ mod tests {
         let (mut keys, mut shades) = (Vec::new(), Vec::new());
         let ramp: Vec<f32> = (0..=100).map(|i| i as f32).chain([f32::NAN]).collect();
         assert!(shade(&ramp, &mut keys, &mut shades));
-        assert_eq!((shades[0], shades[2], shades[50], shades[98], shades[100]), (0, 0, 127, 255, 255));
+        assert_eq!(
+            (shades[0], shades[2], shades[50], shades[98], shades[100]),
+            (0, 0, 127, 255, 255)
+        );
         assert_eq!(shades[101], 0);
         for flat in [vec![], vec![f32::NAN; 9], vec![4.0; 9], vec![f32::NAN, 3.0, f32::NAN]] {
             assert!(!shade(&flat, &mut keys, &mut shades));
