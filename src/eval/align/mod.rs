@@ -5,9 +5,22 @@
 //! (degrees, sign of `scipy.ndimage.rotate`), then the vertical offset is *subtracted*:
 //! `error = prediction - (aligned truth - vertical offset)`.
 
+mod coregister;
+mod fit;
+mod offset;
+mod phase;
+mod resample;
+mod rotation;
+mod shade;
+#[cfg(test)]
+mod tests;
+
+pub use resample::{apply, apply_nearest};
+
 use super::protocol::{OffsetMethod, Protocol};
 use super::surface::Surface;
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 
 /// A shift in pixels of the prediction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -115,22 +128,140 @@ pub enum AlignError {
 
 /// Finds the alignment of a ground truth to a prediction of the same size.
 ///
+/// [`Aligner`] does the same and keeps its tables for the next pair.
+///
 /// # Errors
 /// [`AlignError`] when no vertical offset can be found.
 ///
 /// # Panics
 /// When the sizes differ.
 pub fn align(
-    _prediction: &Surface,
-    _truth: &Surface,
-    _settings: &AlignSettings,
+    prediction: &Surface,
+    truth: &Surface,
+    settings: &AlignSettings,
 ) -> Result<Alignment, AlignError> {
-    unreachable!("written by the alignment work")
+    Aligner::new().align(prediction, truth, settings)
 }
 
-/// The ground truth (or another layer on its grid) shifted and rotated, without the vertical
-/// offset. Pixels whose source is outside, or touches a pixel without data, become NaN.
-#[must_use]
-pub fn apply(_alignment: &Alignment, layer: &Surface) -> Surface {
-    layer.clone()
+/// Finds alignments, and keeps transforms, tables and buffers from one pair to the next.
+///
+/// The result for a pair does not depend on what the aligner saw before.
+#[derive(Default)]
+pub struct Aligner {
+    phase: phase::PhaseCorrelator,
+    rotation: rotation::RotationSearch,
+    shades: [Vec<u8>; 3],
+    keys: Vec<u32>,
+    offsets: offset::OffsetFinder,
+}
+
+impl std::fmt::Debug for Aligner {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Aligner").finish_non_exhaustive()
+    }
+}
+
+impl Aligner {
+    /// An aligner without any tables yet.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Finds the alignment of a ground truth to a prediction of the same size. Infinite heights are
+    /// taken as no data.
+    ///
+    /// # Errors
+    /// [`AlignError`] when no vertical offset can be found.
+    ///
+    /// # Panics
+    /// When the sizes differ.
+    pub fn align(
+        &mut self,
+        prediction: &Surface,
+        truth: &Surface,
+        settings: &AlignSettings,
+    ) -> Result<Alignment, AlignError> {
+        self.align_and_apply(prediction, truth, settings).map(|(alignment, _)| alignment)
+    }
+
+    /// Like [`Aligner::align`]; also returns what [`apply`] makes of the truth, which is needed on
+    /// the way in any case.
+    ///
+    /// # Errors
+    /// As [`Aligner::align`].
+    ///
+    /// # Panics
+    /// When the sizes differ.
+    pub fn align_and_apply(
+        &mut self,
+        prediction: &Surface,
+        truth: &Surface,
+        settings: &AlignSettings,
+    ) -> Result<(Alignment, Surface), AlignError> {
+        assert_eq!(prediction.size(), truth.size(), "sizes of prediction and truth");
+        let (prediction, truth) = (finite(prediction), finite(truth));
+        let mut alignment = Alignment::default();
+        match settings.protocol {
+            Protocol::Plain | Protocol::Vertical => {}
+            Protocol::Paper => self.paper(&prediction, &truth, settings, &mut alignment),
+            Protocol::Coregister => {
+                coregister::coregister(&prediction, &truth, settings, &mut alignment);
+            }
+        }
+        let aligned = apply(&alignment, &truth);
+        if settings.protocol != Protocol::Plain {
+            self.offsets.find(&prediction, &aligned, settings, &mut alignment)?;
+        }
+        if let Some(coregistration) = &mut alignment.coregistration {
+            coregistration.after =
+                coregister::residuals(&prediction, &aligned, alignment.vertical_offset_m);
+        }
+        alignment.flags.sort_unstable();
+        Ok((alignment, aligned))
+    }
+
+    /// Shift and rotation as published.
+    fn paper(
+        &mut self,
+        prediction: &Surface,
+        truth: &Surface,
+        settings: &AlignSettings,
+        alignment: &mut Alignment,
+    ) {
+        let (width, height) = prediction.size();
+        let [reference, moving, shifted] = &mut self.shades;
+        let textured = shade::shade(&prediction.values, &mut self.keys, reference)
+            & shade::shade(&truth.values, &mut self.keys, moving);
+        if !textured {
+            alignment.flags.push(AlignmentFlag::NoTexture);
+            return;
+        }
+        let shift = self.phase.shift(reference, moving, width, height);
+        // Written so that a limit that is no number lets nothing pass.
+        if !(shift.x.abs() <= settings.max_shift_px && shift.y.abs() <= settings.max_shift_px) {
+            alignment.flags.push(AlignmentFlag::ShiftBeyondLimit);
+            return;
+        }
+        alignment.shift_px = shift;
+        resample::shift_shades(moving, width, height, shift, shifted);
+        match self.rotation.search(reference, shifted, width, height, settings.max_rotation_deg) {
+            Some(best) => {
+                alignment.rotation_deg = best.angle_deg;
+                alignment.correlation = Some(best.correlation);
+            }
+            None => alignment.flags.push(AlignmentFlag::NoRotation),
+        }
+    }
+}
+
+/// The surface with infinite heights as no data; a copy only where there are any.
+fn finite(surface: &Surface) -> Cow<'_, Surface> {
+    if surface.values.iter().any(|v| v.is_infinite()) {
+        let values =
+            surface.values.iter().map(|v| if v.is_finite() { *v } else { f32::NAN }).collect();
+        Cow::Owned(Surface::new(surface.width, surface.height, values))
+    } else {
+        Cow::Borrowed(surface)
+    }
 }
