@@ -4,6 +4,7 @@
 //! which order, [`summary`] holds what an evaluation says.
 
 pub mod align;
+pub mod metrics;
 mod protocol;
 pub mod summary;
 mod surface;
