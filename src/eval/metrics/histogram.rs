@@ -1,0 +1,118 @@
+//! Errors in equal bins: the picture of their distribution.
+
+use crate::eval::summary::ErrorHistogram;
+
+/// Counts of errors in equal bins; a bin holds its lower edge.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Histogram {
+    /// Lower edges of the bins and, last, the upper edge of the last one, metres.
+    edges: Vec<f64>,
+    bin_m: f64,
+    counts: Vec<u64>,
+    below: u64,
+    above: u64,
+}
+
+impl Histogram {
+    /// `bins` empty bins of width `bin_m` from `low_m` on (metres); edge `i` is
+    /// `low_m + i * bin_m`, as `f64` computes it.
+    ///
+    /// # Panics
+    /// When there is no bin, or its width is not above 0 and large enough to tell edges apart.
+    #[must_use]
+    pub fn new(low_m: f64, bin_m: f64, bins: usize) -> Self {
+        let edges: Vec<f64> = (0..=bins).map(|edge| low_m + edge as f64 * bin_m).collect();
+        assert!(bins > 0 && edges.is_sorted_by(|a, b| a < b), "bins of {bin_m} m from {low_m} m");
+        Self { edges, bin_m, counts: vec![0; bins], below: 0, above: 0 }
+    }
+
+    /// Counts finite errors (metres).
+    pub fn add(&mut self, errors: &[f64]) {
+        let bins = self.counts.len();
+        let (low, high, per_metre) = (self.edges[0], self.edges[bins], 1.0 / self.bin_m);
+        for error in errors {
+            if *error < low {
+                self.below += 1;
+            } else if *error >= high {
+                self.above += 1;
+            } else {
+                // The product may round across an edge, by one bin at most; the edges decide.
+                let near = (((error - low) * per_metre) as usize).min(bins - 1);
+                let bin = near + usize::from(*error >= self.edges[near + 1]);
+                let bin = bin - usize::from(*error < self.edges[bin]);
+                self.counts[bin] += 1;
+            }
+        }
+    }
+
+    /// Counts the errors of another part too.
+    ///
+    /// # Panics
+    /// When its bins are others.
+    pub fn merge(&mut self, other: &Self) {
+        assert!(self.edges == other.edges, "histograms of the same bins");
+        for (count, more) in self.counts.iter_mut().zip(&other.counts) {
+            *count += more;
+        }
+        self.below += other.below;
+        self.above += other.above;
+    }
+}
+
+impl From<Histogram> for ErrorHistogram {
+    fn from(histogram: Histogram) -> Self {
+        Self {
+            low_m: histogram.edges[0],
+            bin_m: histogram.bin_m,
+            counts: histogram.counts,
+            below: histogram.below,
+            above: histogram.above,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn a_bin_holds_its_lower_edge_and_what_is_outside_is_counted() {
+        let mut histogram = Histogram::new(-25.0, 0.1, 500);
+        // Every edge as computed falls into its own bin, and the number before it into the last.
+        for bin in 0..500 {
+            let edge = -25.0 + f64::from(bin) * 0.1;
+            histogram.add(&[edge, edge.next_down()]);
+        }
+        histogram.add(&[25.0, 7e38, -7e38, f64::MAX]);
+        let counts = ErrorHistogram::from(histogram);
+        assert_eq!(counts.counts[..499], [2; 499]);
+        assert_eq!((counts.counts[499], counts.below, counts.above), (1, 2, 3));
+    }
+
+    proptest! {
+        #[test]
+        fn counts_are_those_of_a_search_among_the_edges(
+            errors in proptest::collection::vec(-12.0..12.0_f64, 0..300),
+            low in -10.0..0.0_f64,
+            bin in 0.01..1.0_f64,
+            split in 0..300_usize,
+        ) {
+            let mut histogram = Histogram::new(low, bin, 20);
+            let mut second = histogram.clone();
+            let split = split.min(errors.len());
+            histogram.add(&errors[..split]);
+            second.add(&errors[split..]);
+            histogram.merge(&second);
+            let edges: Vec<f64> = (0..=20).map(|i| low + f64::from(i) * bin).collect();
+            let mut expected = vec![0_u64; 22];
+            for error in &errors {
+                expected[edges.partition_point(|edge| edge <= error)] += 1;
+            }
+            let found = ErrorHistogram::from(histogram);
+            prop_assert_eq!(found.below, expected[0]);
+            prop_assert_eq!(&found.counts[..], &expected[1..21]);
+            prop_assert_eq!(found.above, expected[21]);
+        }
+    }
+}
