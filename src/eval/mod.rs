@@ -5,6 +5,8 @@
 
 pub mod align;
 mod protocol;
+pub mod published;
+pub mod report;
 pub mod summary;
 mod surface;
 
