@@ -6,10 +6,11 @@ mod sample;
 fn show() {
     use sat3d::eval::{Protocol, published, report};
     let mut one = sample::set(&["out"], &[Protocol::Paper], 100);
-    println!("{}", report::terminal(&one, 80));
     one.published = published::paper_rows();
-    println!("{}", report::terminal(&one, 80));
-    println!("{}", report::terminal(&sample::set(&["out","baseline"], &[Protocol::Paper], 100), 80));
-    println!("{}", report::terminal(&sample::set(&["out"], &Protocol::ALL, 100), 80));
-    println!("{}", report::terminal(&sample::nothing(), 80));
+    let w = |n: &str, t: String| std::fs::write(format!("/tmp/rep/{n}.html"), t).unwrap();
+    w("one", report::html(&one, &sample::panels()));
+    w("two", report::html(&sample::set(&["out","baseline"], &[Protocol::Paper], 100), &sample::panels()));
+    w("eight", report::html(&sample::set(&["out","baseline"], &Protocol::ALL, 400), &sample::panels()));
+    w("nothing", report::html(&sample::nothing(), &[]));
+    w("big", report::html(&sample::set(&["out"], &[Protocol::Paper], 12000), &[]));
 }

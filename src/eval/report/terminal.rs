@@ -103,7 +103,7 @@ impl Page {
     fn counts(&mut self, e: &Evaluation, label: Option<&str>) {
         let c = &e.images;
         let why: Vec<String> =
-            [(c.skipped, "skipped"), (c.failed, "failed"), (c.unaligned, "left unaligned")]
+            [(c.skipped, "skipped"), (c.failed, "failed"), (c.unaligned, "unaligned")]
                 .iter()
                 .filter(|(number, _)| *number > 0)
                 .map(|(number, what)| format!("{} {what}", count(*number)))
@@ -457,7 +457,7 @@ mod tests {
     fn the_first_line_says_how_many_images_were_evaluated() {
         let text = terminal(&sample::set(&["out"], &[Protocol::Paper], 100), 80);
         let first = text.lines().next().expect("a line");
-        assert_eq!(first, "evaluated 92 of 100 images (4 skipped, 4 failed, 8 left unaligned)");
+        assert_eq!(first, "evaluated 92 of 100 images (4 skipped, 4 failed, 8 unaligned)");
         assert!(text.contains("\n  4  no ground truth of this name\n"), "{text}");
         let text = terminal(&sample::nothing(), 80);
         assert!(text.starts_with("evaluated 0 of 9 images (4 skipped, 5 failed)\n"), "{text}");
