@@ -8,6 +8,7 @@
 mod gdal_reader;
 #[cfg(feature = "gdal")]
 mod gdal_setup;
+pub mod colour;
 pub mod geotiff;
 mod header;
 mod list;

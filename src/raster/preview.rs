@@ -1,33 +1,11 @@
 //! Pictures of height rasters: height as colour, slope as light.
 //!
-//! The colour map is our own, so it has no licence but this project's: 17 colours on a path of
-//! rising lightness from blue over green to sand in Oklab (B. Ottosson, 2020), equally far apart
-//! there, and joined by straight lines in sRGB. Lightness ends well above black, so that shadows
-//! show on low ground too.
+//! The colours are [`colour::HEIGHT`].
 
+use super::colour;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 
-/// sRGB, lowest height first.
-const COLOURS: [[u8; 3]; 17] = [
-    [63, 72, 126],
-    [58, 84, 135],
-    [52, 96, 142],
-    [46, 108, 147],
-    [42, 120, 150],
-    [42, 131, 151],
-    [49, 142, 150],
-    [62, 153, 149],
-    [79, 162, 146],
-    [97, 172, 143],
-    [117, 180, 139],
-    [138, 188, 135],
-    [160, 194, 132],
-    [183, 200, 130],
-    [206, 205, 131],
-    [228, 210, 134],
-    [249, 214, 140],
-];
 /// Colours between the lowest and the highest height of the stretch.
 const STEPS: usize = 1024;
 /// Shares of the valid heights below and above which the colour no longer changes.
@@ -56,7 +34,7 @@ pub fn hillshade_png(heights: &[f32], width: usize, height: usize, ground_pixel_
     let (width, height) = (width.max(1), height.max(1));
     let mut rgba = vec![0; width * height * 4];
     if let Some(stretch) = Stretch::of(heights) {
-        let colours = colour_table();
+        let colours = colour::table::<STEPS>(&colour::HEIGHT);
         let light = Light::new(ground_pixel_m);
         let rows: Vec<&[f32]> = heights.chunks(width).take(height).collect();
         let row = |y: Option<usize>| y.and_then(|y| rows.get(y)).copied().unwrap_or_default();
@@ -175,18 +153,6 @@ fn lit(value: u8, light: f64) -> u8 {
     let value = f64::from(value);
     let lit = if light <= 1.0 { value * light } else { value + (255.0 - value) * (light - 1.0) };
     (lit + 0.5) as u8
-}
-
-fn colour_table() -> [[u8; 3]; STEPS] {
-    std::array::from_fn(|step| {
-        let at = step as f64 / (STEPS - 1) as f64 * (COLOURS.len() - 1) as f64;
-        let below = (at as usize).min(COLOURS.len() - 2);
-        let fraction = at - below as f64;
-        std::array::from_fn(|channel| {
-            let [low, high] = [below, below + 1].map(|i| f64::from(COLOURS[i][channel]));
-            (low + fraction * (high - low) + 0.5) as u8
-        })
-    })
 }
 
 fn png(rgba: &[u8], width: usize, height: usize) -> Vec<u8> {

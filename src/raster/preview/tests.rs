@@ -1,4 +1,5 @@
 use super::*;
+use crate::raster::colour::HEIGHT;
 use image::RgbaImage;
 use proptest::prelude::*;
 
@@ -9,40 +10,6 @@ fn draw(heights: &[f32], width: usize, height: usize, pixel_m: f64) -> RgbaImage
     picture.into_rgba8()
 }
 
-/// Björn Ottosson's Oklab of an sRGB colour, from his definition.
-fn oklab(colour: [u8; 3]) -> [f64; 3] {
-    let [r, g, b] = colour.map(|value| {
-        let v = f64::from(value) / 255.0;
-        if v <= 0.04045 { v / 12.92 } else { libm::pow((v + 0.055) / 1.055, 2.4) }
-    });
-    let l = libm::cbrt(0.4122214708 * r + 0.5363325363 * g + 0.0514459929 * b);
-    let m = libm::cbrt(0.2119034982 * r + 0.6806995451 * g + 0.1073969566 * b);
-    let s = libm::cbrt(0.0883024619 * r + 0.2817188376 * g + 0.6299787005 * b);
-    [
-        0.2104542553 * l + 0.7936177850 * m - 0.0040720468 * s,
-        1.9779984951 * l - 2.4285922050 * m + 0.4505937099 * s,
-        0.0259040371 * l + 0.7827717662 * m - 0.8086757660 * s,
-    ]
-}
-
-#[test]
-fn colours_are_equally_far_apart_and_get_lighter() {
-    let labs = COLOURS.map(oklab);
-    let steps: Vec<f64> = labs
-        .windows(2)
-        .map(|pair| (0..3).map(|i| (pair[1][i] - pair[0][i]).powi(2)).sum::<f64>().sqrt())
-        .collect();
-    let mean = steps.iter().sum::<f64>() / steps.len() as f64;
-    for step in &steps {
-        assert!((step / mean - 1.0).abs() < 0.07, "{steps:?}");
-    }
-    assert!(labs.windows(2).all(|pair| pair[1][0] > pair[0][0]), "{labs:?}");
-    let table = colour_table();
-    assert_eq!([table[0], table[STEPS - 1]], [COLOURS[0], COLOURS[16]]);
-}
-
-/// Horn's slopes of a plane are the plane's, at the border and beside holes too, so light follows
-/// from the closed form everywhere.
 #[test]
 fn a_plane_has_the_light_of_its_normal_everywhere() {
     let (width, height, pixel_m) = (7, 5, 0.25);
@@ -93,7 +60,7 @@ fn walls_towards_the_north_west_are_light_and_those_away_from_it_dark() {
 
 #[test]
 fn surfaces_without_relief_have_the_middle_colour() {
-    let middle = colour_table()[STEPS / 2];
+    let middle = colour::table::<STEPS>(&HEIGHT)[STEPS / 2];
     for (width, height) in [(1, 1), (3, 2), (1, 9)] {
         let picture = draw(&vec![12.5; width * height], width, height, 0.1);
         assert!(picture.pixels().all(|p| p.0[..3] == middle && p.0[3] == 255));
@@ -120,9 +87,9 @@ fn without_a_pixel_size_there_is_colour_and_no_light() {
     let heights: Vec<f32> = (0..101).map(|z| z as f32).collect();
     for pixel_m in [0.0, -1.0, f64::NAN, f64::INFINITY] {
         let picture = draw(&heights, 101, 1, pixel_m);
-        assert_eq!(picture.get_pixel(2, 0).0[..3], COLOURS[0]);
-        assert_eq!(picture.get_pixel(98, 0).0[..3], COLOURS[16]);
-        assert_eq!(picture.get_pixel(50, 0).0[..3], colour_table()[STEPS / 2]);
+        assert_eq!(picture.get_pixel(2, 0).0[..3], HEIGHT[0]);
+        assert_eq!(picture.get_pixel(98, 0).0[..3], HEIGHT[16]);
+        assert_eq!(picture.get_pixel(50, 0).0[..3], colour::table::<STEPS>(&HEIGHT)[STEPS / 2]);
     }
 }
 
