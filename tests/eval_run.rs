@@ -116,8 +116,7 @@ fn the_paper_protocol_agrees_with_the_reference_implementation() {
 /// A small city block: heights with edges and a slope, `size` pixels a side.
 fn city(size: usize, seed: u64) -> Vec<f32> {
     let mut draw = sat3d::random::Draw::new(&[seed]);
-    let mut heights: Vec<f32> =
-        (0..size * size).map(|k| 30.0 + 0.02 * (k % size) as f32).collect();
+    let mut heights: Vec<f32> = (0..size * size).map(|k| 30.0 + 0.02 * (k % size) as f32).collect();
     for _ in 0..25 {
         let (w, h) = (draw.index(size / 4) + 6, draw.index(size / 4) + 6);
         let (x0, y0) = (draw.index(size - w), draw.index(size - h));
@@ -168,9 +167,7 @@ fn threads_shards_and_memory_do_not_change_a_byte() {
     let folder = benchmark(40);
     let (pred, gt) = (folder.path().join("pred"), folder.path().join("gt"));
     let base = ["eval", "--pred", text(&pred), "--gt", text(&gt), "--protocol", "all", "-q"];
-    let json = |extra: &[&str]| {
-        stdout(&run(sat3d().args(base).args(extra).args(["--json"]), 0))
-    };
+    let json = |extra: &[&str]| stdout(&run(sat3d().args(base).args(extra).args(["--json"]), 0));
     let whole = json(&["--threads", "1"]);
     assert_eq!(whole, json(&["--threads", "5"]));
     assert_eq!(whole, json(&["--memory", "0"]), "errors computed again in the second pass");
@@ -195,7 +192,13 @@ fn every_number_of_an_image_is_that_of_its_error_raster() {
     let (pred, gt) = (folder.path().join("pred"), folder.path().join("gt"));
     let errors = folder.path().join("errors");
     let found = json(&[
-        "--pred", text(&pred), "--gt", text(&gt), "--protocol", "vertical", "--errors",
+        "--pred",
+        text(&pred),
+        "--gt",
+        text(&gt),
+        "--protocol",
+        "vertical",
+        "--errors",
         text(&errors),
     ]);
     let mut all: Vec<f64> = Vec::new();
@@ -261,7 +264,14 @@ fn baselines_score_what_their_making_implies() {
     // Flat: errors are the truth's deviations from the offset, whatever the height that is predicted.
     let flat = at("flat");
     let scores = json(&[
-        "--pred", text(&flat), "--gt", text(&gt), "--protocol", "vertical", "--offset", "mean",
+        "--pred",
+        text(&flat),
+        "--gt",
+        text(&gt),
+        "--protocol",
+        "vertical",
+        "--offset",
+        "mean",
     ]);
     for image in scores["per_image"].as_array().unwrap() {
         let file = gt.join(format!("{}_dsm.npz", image["name"].as_str().unwrap()));
@@ -350,12 +360,10 @@ fn wrong_usage_names_the_value_and_what_to_do() {
     fails(&["--shard", "3/2", "--parts", "p"], &["3/2"]);
     fails(&["--name", "a", "--name", "b"], &["--name"]);
     let empty = tempfile::tempdir().unwrap();
-    let output =
-        run(sat3d().args(["eval", "--pred", text(empty.path()), "--gt", text(&gt)]), 2);
+    let output = run(sat3d().args(["eval", "--pred", text(empty.path()), "--gt", text(&gt)]), 2);
     assert!(stderr(&output).contains("no file that could be scored"), "{}", stderr(&output));
     write_npz(&empty.path().join("other.npz"), "arr_0", 2, &[0.0; 4]);
-    let output =
-        run(sat3d().args(["eval", "--pred", text(empty.path()), "--gt", text(&gt)]), 2);
+    let output = run(sat3d().args(["eval", "--pred", text(empty.path()), "--gt", text(&gt)]), 2);
     assert!(stderr(&output).contains("no name in common"), "{}", stderr(&output));
     // A prediction in metres under the key of scene heights would be wrong by a factor of 64.
     let metres = city(96, 1);
@@ -365,9 +373,7 @@ fn wrong_usage_names_the_value_and_what_to_do() {
         1,
     );
     assert!(stdout(&output).contains("metres belong into an array `dsm`"));
-    let right = json(&[
-        "--pred", text(empty.path()), "--gt", text(&gt), "--metres-per-unit", "1",
-    ]);
+    let right = json(&["--pred", text(empty.path()), "--gt", text(&gt), "--metres-per-unit", "1"]);
     assert_eq!(right["images"]["evaluated"], 1);
 }
 
@@ -401,7 +407,9 @@ fn two_models_are_compared_on_the_images_that_both_have() {
     let mae = scores.iter().find(|s| s["score"] == "per_image_mean.mae_m").unwrap();
     assert!(mae["difference"].as_f64().unwrap() > 0.0, "{mae}");
     assert_eq!(mae["significant"], true, "{mae}");
-    assert!(found["published"].as_array().unwrap().iter().any(|row| row["scores"]["mae_m"] == 3.47));
+    assert!(
+        found["published"].as_array().unwrap().iter().any(|row| row["scores"]["mae_m"] == 3.47)
+    );
 }
 
 #[test]
@@ -409,8 +417,7 @@ fn the_srtm_pair_is_found_where_it_was_put() {
     let Some(data) = common::test_data("eval, SRTM pair") else { return };
     let (pred, gt) =
         (data.join("rasters/srtm_shifted_4326.tif"), data.join("rasters/srtm_ref_4326.tif"));
-    let found =
-        json(&["--pred", text(&pred), "--gt", text(&gt), "--protocol", "coregister"]);
+    let found = json(&["--pred", text(&pred), "--gt", text(&gt), "--protocol", "coregister"]);
     let image = &found["per_image"][0];
     let shift = |axis: &str| image["shift_px"][axis].as_f64().unwrap();
     // The truth's cell (r + 5, c + 3) is the prediction's (r, c): the truth moves west and north.

@@ -18,12 +18,16 @@ use std::path::{Path, PathBuf};
 /// Pairs <stem>.npz, .npy or .tif with <stem>_dsm.npz or .tif, aligns each truth to its prediction by
 /// the protocol, and prints errors with intervals. error = prediction - ground truth.
 #[derive(clap::Args, Debug)]
-#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true, after_help = "Examples:
+#[command(
+    args_conflicts_with_subcommands = true,
+    subcommand_negates_reqs = true,
+    after_help = "Examples:
   sat3d eval --pred out/ --gt dsm/
   sat3d eval --pred out/ --gt dsm/ --protocol all --report report.html --csv images.csv
   sat3d eval --pred model_a/ --pred model_b/ --gt dsm/ --against paper
   sat3d eval --pred shifted.tif --gt reference.tif --protocol coregister
-  sat3d eval --pred out/ --gt dsm/ --shard 1/4 --parts parts/     (then: sat3d eval merge parts/)")]
+  sat3d eval --pred out/ --gt dsm/ --shard 1/4 --parts parts/     (then: sat3d eval merge parts/)"
+)]
 pub struct Args {
     #[command(subcommand)]
     command: Option<Command>,
@@ -251,8 +255,7 @@ fn baseline(args: &BaselineArgs) -> anyhow::Result<ExitCode> {
         BaselineKind::Blurred => Baseline::Blurred { sigma_m: args.sigma },
         BaselineKind::Shifted => Baseline::Shifted { east_px: args.east, south_px: args.south },
     };
-    let settings =
-        InputSettings { zoom: args.zoom, gsd_m: args.gsd, ..InputSettings::default() };
+    let settings = InputSettings { zoom: args.zoom, gsd_m: args.gsd, ..InputSettings::default() };
     let size = args.size as usize;
     let summary = eval::write_baselines(&args.gt, &args.out, baseline, size, &settings)?;
     if args.json {
@@ -285,7 +288,8 @@ fn score(args: &ScoreArgs) -> anyhow::Result<ExitCode> {
     let prepared = eval::prepare(args.options()?)?;
     let interrupt = Interrupt::on_signals();
     if let Some(folder) = &args.parts {
-        let Some((path, images)) = unless_interrupted(prepared.run_part(folder, &interrupt))? else {
+        let Some((path, images)) = unless_interrupted(prepared.run_part(folder, &interrupt))?
+        else {
             return Ok(ExitCode::Interrupted);
         };
         console::print(&format!(

@@ -28,6 +28,7 @@ pub use ellipsoid::Ellipsoid;
 pub use geokeys::GeoKeys;
 pub use helmert::{Convention, DatumStep, Helmert};
 pub use resolve::resolve;
+pub(crate) use scale::ground_distance_m;
 pub use scale::{ScaleFactor, scale_factor};
 pub use table::{area_of_use, closed_form_codes};
 pub use transverse_mercator::TransverseMercator;

@@ -149,8 +149,9 @@ fn blur(surface: &Surface, sigma_px: f64) -> Surface {
         return surface.clone();
     }
     let reach = (4.0 * sigma_px).ceil() as usize;
-    let weights: Vec<f64> =
-        (0..=reach).map(|k| libm::exp(-0.5 * (k as f64 / sigma_px) * (k as f64 / sigma_px))).collect();
+    let weights: Vec<f64> = (0..=reach)
+        .map(|k| libm::exp(-0.5 * (k as f64 / sigma_px) * (k as f64 / sigma_px)))
+        .collect();
     let (width, height) = surface.size();
     // Value times validity and validity are blurred alike; their ratio is the mean of valid pixels.
     let mut values: Vec<f64> =
@@ -161,9 +162,11 @@ fn blur(surface: &Surface, sigma_px: f64) -> Surface {
         convolve(grid, (height, width, width, 1), &weights);
         convolve(grid, (width, height, 1, width), &weights);
     }
-    let ratio = values.iter().zip(&valid).zip(&surface.values).map(|((sum, share), &own)| {
-        if own.is_nan() { f32::NAN } else { (sum / share) as f32 }
-    });
+    let ratio = values
+        .iter()
+        .zip(&valid)
+        .zip(&surface.values)
+        .map(|((sum, share), &own)| if own.is_nan() { f32::NAN } else { (sum / share) as f32 });
     Surface::new(width, height, ratio.collect())
 }
 
@@ -210,7 +213,8 @@ mod tests {
         let expected = |r2: f64| libm::exp(-r2 / 32.0) / (std::f64::consts::TAU * 16.0);
         // Cut at four sigma, the kernel lacks 6e-5 of its weight per axis.
         for (x, y) in [(40, 40), (44, 40), (40, 47), (36, 43)] {
-            let r2 = ((x as f64 - 40.0) * (x as f64 - 40.0)) + (y as f64 - 40.0) * (y as f64 - 40.0);
+            let r2 =
+                ((x as f64 - 40.0) * (x as f64 - 40.0)) + (y as f64 - 40.0) * (y as f64 - 40.0);
             assert!((at(x, y) / expected(r2) - 1.0).abs() < 1e-3, "{x} {y}");
         }
     }

@@ -1,15 +1,15 @@
 //! From totals to the numbers that are printed.
 
 use super::metrics::{
-    BootstrapSettings, ErrorSums, ImageSample, Quantiles, differences, intervals,
+    BootstrapSettings, ComparedSet, ErrorSums, ImageSample, Quantiles, differences, intervals,
 };
 use super::protocol::{OffsetMethod, Protocol};
 use super::registration;
 use super::run::Prepared;
 use super::score::is_unaligned;
 use super::summary::{
-    Evaluation, EvaluationSet, ImageCounts, ImageScores, MeanScores, PooledScores,
-    PublishedScores, StratumGroup, StratumRow, ThresholdShare,
+    Evaluation, EvaluationSet, ImageCounts, ImageScores, MeanScores, PooledScores, PublishedScores,
+    StratumGroup, StratumRow, ThresholdShare,
 };
 use super::tally::{Fine, Tally};
 use crate::batch::Status;
@@ -66,9 +66,9 @@ pub fn evaluation(
             lt_7_5_m_pct: pooled.lt_7_5_m_pct,
         },
         per_image_mean,
-        intervals: intervals(&tally.samples, thresholds, &bootstrap(prepared)),
+        intervals: intervals(&tally.samples, &quantiles, thresholds, &bootstrap(prepared)),
         strata: strata(prepared, tally, fine, &totals.strata, sums.pixels()),
-        histogram: tally.histogram.summary(),
+        histogram: tally.histogram.clone().into(),
         by_position: tally.positions.map(),
         registration: registration::combine(&tally.registrations),
         per_image: tally.rows.clone(),
@@ -80,10 +80,27 @@ pub fn evaluation(
 pub fn set(
     prepared: &Prepared,
     evaluations: Vec<Evaluation>,
-    samples: &[(String, Protocol, Vec<ImageSample>)],
+    samples: &[Vec<ImageSample>],
 ) -> EvaluationSet {
-    let sets: Vec<(&str, Protocol, &[ImageSample])> =
-        samples.iter().map(|(model, protocol, s)| (model.as_str(), *protocol, &s[..])).collect();
+    let sets: Vec<ComparedSet<'_>> = evaluations
+        .iter()
+        .zip(samples)
+        .map(|(evaluation, images)| {
+            let PooledScores { median_m, nmad_m, le68_m, le90_m, p95_m, .. } = evaluation.pooled;
+            ComparedSet {
+                model: &evaluation.model,
+                protocol: evaluation.protocol,
+                images,
+                quantiles: Some(Quantiles {
+                    median: median_m,
+                    nmad: nmad_m,
+                    le68: le68_m,
+                    le90: le90_m,
+                    p95: p95_m,
+                }),
+            }
+        })
+        .collect();
     let differences = differences(&sets, &prepared.settings.thresholds, &bootstrap(prepared));
     EvaluationSet { evaluations, differences, published: Vec::new() }
 }
@@ -206,8 +223,15 @@ fn conventions(prepared: &Prepared) -> BTreeMap<String, String> {
     };
     let entries = [
         ("error", "prediction - (aligned ground truth - vertical offset), metres".to_owned()),
-        ("shift", "applied to the ground truth; +x east, +y south, pixels of the prediction".into()),
-        ("rotation", "applied to the ground truth after the shift, degrees, sign of scipy.ndimage.rotate".into()),
+        (
+            "shift",
+            "applied to the ground truth; +x east, +y south, pixels of the prediction".into(),
+        ),
+        (
+            "rotation",
+            "applied to the ground truth after the shift, degrees, sign of scipy.ndimage.rotate"
+                .into(),
+        ),
         ("vertical_offset", "subtracted from the ground truth, metres".into()),
         ("per_image_mean", "score per image, then the mean over images".into()),
         ("pooled", "score over all pixels of all images".into()),

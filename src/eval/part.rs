@@ -187,10 +187,7 @@ fn check_complete(parts: &[(PathBuf, Part)]) -> Result<(), EvalError> {
             ));
         }
         if part.pairs != first.pairs {
-            return Err(wrong(
-                other,
-                format!("it saw other images than {}", path.display()),
-            ));
+            return Err(wrong(other, format!("it saw other images than {}", path.display())));
         }
     }
     let found: Vec<u32> = parts.iter().map(|(_, part)| part.shard.index).collect();

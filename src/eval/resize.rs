@@ -88,8 +88,7 @@ fn bilinear(source: &Surface, width: usize, height: usize) -> Surface {
             }
         }
         let [upper, lower] = &lines;
-        values
-            .extend(upper.iter().zip(lower).map(|(&u, &l)| u * (1.0 - weight) + l * weight));
+        values.extend(upper.iter().zip(lower).map(|(&u, &l)| u * (1.0 - weight) + l * weight));
     }
     Surface::new(width, height, values)
 }
@@ -173,8 +172,14 @@ mod tests {
         // Pixel (0, 0) of four covers 2.5 x 2.5 cells; one of them is empty.
         let kept = area(&source, 4, 4).values[0];
         let cells = [
-            (0.5, 1.0), (1.0, 0.5), (2.0, 1.0), (2.5, 1.0), (3.0, 0.5),
-            (4.0, 0.5), (4.5, 0.5), (5.0, 0.25),
+            (0.5, 1.0),
+            (1.0, 0.5),
+            (2.0, 1.0),
+            (2.5, 1.0),
+            (3.0, 0.5),
+            (4.0, 0.5),
+            (4.5, 0.5),
+            (5.0, 0.25),
         ];
         let (sum, share) = cells.iter().fold((0.0, 0.0), |(s, w), (v, k)| (s + v * k, w + k));
         assert!((f64::from(kept) - sum / share).abs() < 1e-6, "{kept}");

@@ -8,7 +8,7 @@ use super::align::{Aligner, apply};
 use super::error_raster;
 use super::finish;
 use super::inputs::{InputError, Pair, Truth, pair, read_prediction, read_truth};
-use super::metrics::{ImageSample, block_of};
+use super::metrics::{ImageSample, block_of, lone_block};
 use super::options::{EvalOptions, Settings};
 use super::protocol::Protocol;
 use super::registration;
@@ -88,10 +88,15 @@ pub struct Prepared {
 pub fn prepare(options: EvalOptions) -> Result<Prepared, EvalError> {
     let wrong = |what: String| Err(EvalError::Option(what));
     if let Some(threshold) = options.thresholds.iter().find(|t| !(t.is_finite() && **t > 0.0)) {
-        return wrong(format!("--thresholds {threshold}: a threshold is a positive number of metres"));
+        return wrong(format!(
+            "--thresholds {threshold}: a threshold is a positive number of metres"
+        ));
     }
     if !(options.block_m.is_finite() && options.block_m > 0.0) {
-        return wrong(format!("--block {}: a block is a positive number of metres", options.block_m));
+        return wrong(format!(
+            "--block {}: a block is a positive number of metres",
+            options.block_m
+        ));
     }
     if options.names.len() > options.predictions.len() {
         return wrong("there are more --name than --pred".into());
@@ -102,7 +107,9 @@ pub fn prepare(options: EvalOptions) -> Result<Prepared, EvalError> {
     }
     let gsd = options.inputs.gsd_m.unwrap_or(1.0);
     if !(gsd.is_finite() && gsd > 0.0) {
-        return wrong(format!("--gsd {gsd}: a ground sample distance is a positive number of metres"));
+        return wrong(format!(
+            "--gsd {gsd}: a ground sample distance is a positive number of metres"
+        ));
     }
     let pairs = pair(&options.predictions, &options.truth)?;
     let mask =
@@ -174,9 +181,8 @@ impl Prepared {
     }
 
     fn check_partners(&self) -> Result<(), EvalError> {
-        let paired = |pair: &Pair| {
-            pair.truth.is_some() && pair.predictions.iter().any(Option::is_some)
-        };
+        let paired =
+            |pair: &Pair| pair.truth.is_some() && pair.predictions.iter().any(Option::is_some);
         if self.pairs.iter().any(paired) {
             return Ok(());
         }
@@ -208,8 +214,7 @@ impl Prepared {
             tallies: evaluations.iter().map(|_| Tally::new(&self.set)).collect(),
             kept: vec![Vec::new(); evaluations.len()],
         };
-        let progress =
-            Progress::new("scoring", "images", range.len(), self.options.quiet);
+        let progress = Progress::new("scoring", "images", range.len(), self.options.quiet);
         let mut budget = self.options.memory;
         let batch = (IN_FLIGHT / evaluations.len()).div_ceil(CHUNK).max(1) * CHUNK;
         let mut next = range.start;
@@ -255,7 +260,7 @@ impl Prepared {
         interrupt: &Interrupt,
     ) -> Result<EvaluationSet, EvalError> {
         let mut evaluations = Vec::new();
-        let mut samples: Vec<(String, Protocol, Vec<ImageSample>)> = Vec::new();
+        let mut samples: Vec<Vec<ImageSample>> = Vec::new();
         let each = self.evaluations().into_iter().zip(pass.tallies).zip(pass.kept);
         for (((set, protocol), tally), kept) in each {
             let mut fine = Fine::new(&tally);
@@ -275,10 +280,8 @@ impl Prepared {
             }
             let model = &self.settings.models[set];
             let offset = self.options.offset_for(protocol);
-            evaluations.push(finish::evaluation(
-                self, model, protocol, offset, &tally, &fine,
-            ));
-            samples.push((model.clone(), protocol, tally.samples));
+            evaluations.push(finish::evaluation(self, model, protocol, offset, &tally, &fine));
+            samples.push(tally.samples);
         }
         Ok(finish::set(self, evaluations, &samples))
     }
@@ -364,10 +367,7 @@ impl Prepared {
             _ => None,
         };
         let pixel_m = truth.place.pixel_m.map(|(east, south)| {
-            (
-                east * truth_width as f64 / width as f64,
-                south * truth_height as f64 / height as f64,
-            )
+            (east * truth_width as f64 / width as f64, south * truth_height as f64 / height as f64)
         });
         let layers = Layers {
             truth: resize(&truth.surface, width, height, how),
@@ -420,8 +420,10 @@ impl Prepared {
         match scored {
             Ok(mut scored) => {
                 // An image without a position is a block of its own.
-                scored.sample.block =
-                    center.map_or((i64::MIN, index as i64), |at| block_of(at, self.options.block_m));
+                scored.sample.block = center.map_or_else(
+                    || lone_block(index as u64),
+                    |at| block_of((at.lon_deg, at.lat_deg), self.options.block_m),
+                );
                 scored.sample.name.clone_from(&pair.name);
                 let reasons = if is_unaligned(&scored.scores.flags) {
                     vec!["left unaligned (see flags)".to_owned()]

@@ -257,8 +257,7 @@ fn sums_by_class(
         .map(|(group, definition)| {
             let classes = &errors.classes[group];
             let mut truth_pixels = vec![0_u64; definition.labels.len()];
-            let whole =
-                strata.and_then(|s| s.groups.iter().find(|classes| classes.group == group));
+            let whole = strata.and_then(|s| s.groups.iter().find(|classes| classes.group == group));
             if let Some(whole) = whole {
                 for (&class, height) in whole.classes.iter().zip(&compared.truth.values) {
                     if !height.is_nan()

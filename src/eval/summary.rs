@@ -325,8 +325,8 @@ pub struct ImageScores {
     pub completeness_pct: f64,
     /// Shift applied to the ground truth, pixels of the prediction.
     pub shift_px: Shift,
-    /// The same on the ground, metres east and south.
-    pub shift_m: Shift,
+    /// The same on the ground, metres east and south, where the size of a pixel is known.
+    pub shift_m: Option<Shift>,
     /// Rotation applied to the ground truth, degrees.
     pub rotation_deg: f64,
     /// Subtracted from the ground truth, metres.

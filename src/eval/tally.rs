@@ -101,11 +101,7 @@ impl Positions {
             let pairs = sums.iter().zip(&self.pixels);
             pairs.map(|(&sum, &count)| sum as f64 / STEPS / count as f64).collect()
         };
-        PositionMap {
-            cells: CELLS as u32,
-            mae_m: mean(&self.absolute),
-            bias_m: mean(&self.signed),
-        }
+        PositionMap { cells: CELLS as u32, mae_m: mean(&self.absolute), bias_m: mean(&self.signed) }
     }
 }
 

@@ -4,11 +4,11 @@
 //! file that both can read: `GdalReader` (feature `gdal`: whatever GDAL reads, VRT included) and
 //! [`TiffReader`] (pure Rust: GeoTIFF). [`open`] takes the one that the build has.
 
+pub mod colour;
 #[cfg(feature = "gdal")]
 mod gdal_reader;
 #[cfg(feature = "gdal")]
 mod gdal_setup;
-pub mod colour;
 pub mod geotiff;
 mod header;
 mod list;

@@ -33,10 +33,7 @@ pub(super) fn truth(path: &Path) -> Result<Truth, InputError> {
 }
 
 /// A prediction: `dsm` in metres, else `arr_0` in the scene cube.
-pub(super) fn prediction(
-    path: &Path,
-    settings: &InputSettings,
-) -> Result<Prediction, InputError> {
+pub(super) fn prediction(path: &Path, settings: &InputSettings) -> Result<Prediction, InputError> {
     let mut arrays = npz::read(path)?;
     let mut notes = Vec::new();
     let npy = is_npy(path);

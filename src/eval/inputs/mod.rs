@@ -162,11 +162,7 @@ impl InputError {
 ///
 /// # Errors
 /// [`InputError`] naming the file.
-pub fn read_truth(
-    name: &str,
-    path: &Path,
-    settings: &InputSettings,
-) -> Result<Truth, InputError> {
+pub fn read_truth(name: &str, path: &Path, settings: &InputSettings) -> Result<Truth, InputError> {
     let center = SatelliteName::parse(name).ok().map(|name| name.center());
     let mut truth = if is_array(path) {
         arrays::truth(path)?

@@ -70,9 +70,9 @@ fn list(path: &Path, kinds: &[&str]) -> Result<BTreeMap<String, PathBuf>, InputE
     for entry in std::fs::read_dir(path).map_err(unlisted)? {
         let file = entry.map_err(unlisted)?.path();
         let hidden = file.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.'));
-        let kind = file.extension().and_then(|ending| {
-            kinds.iter().position(|kind| ending.eq_ignore_ascii_case(kind))
-        });
+        let kind = file
+            .extension()
+            .and_then(|ending| kinds.iter().position(|kind| ending.eq_ignore_ascii_case(kind)));
         let (Some(kind), false, true) = (kind, hidden, file.is_file()) else { continue };
         match found.entry(image_name(&file)) {
             std::collections::btree_map::Entry::Vacant(entry) => {

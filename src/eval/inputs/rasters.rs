@@ -97,8 +97,8 @@ fn onto(
     height: usize,
 ) -> Surface {
     let tap = |col: i64, row: i64| {
-        let inside = (0..source.width as i64).contains(&col)
-            && (0..source.height as i64).contains(&row);
+        let inside =
+            (0..source.width as i64).contains(&col) && (0..source.height as i64).contains(&row);
         if inside { source.values[row as usize * source.width + col as usize] } else { f32::NAN }
     };
     let mut values = Vec::with_capacity(width * height);

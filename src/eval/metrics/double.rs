@@ -95,10 +95,7 @@ impl LaneSum {
 
 /// Sums of several functions of the values, each in its own lanes.
 #[inline(always)]
-pub(super) fn sums<const N: usize>(
-    values: &[f64],
-    terms: impl Fn(f64) -> [f64; N],
-) -> [Double; N] {
+pub(super) fn sums<const N: usize>(values: &[f64], terms: impl Fn(f64) -> [f64; N]) -> [Double; N] {
     let mut lanes = [LaneSum::default(); N];
     let (groups, rest) = values.as_chunks::<LANES>();
     for group in groups {

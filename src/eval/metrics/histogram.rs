@@ -1,9 +1,10 @@
 //! Errors in equal bins: the picture of their distribution.
 
 use crate::eval::summary::ErrorHistogram;
+use serde::{Deserialize, Serialize};
 
 /// Counts of errors in equal bins; a bin holds its lower edge.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Histogram {
     /// Lower edges of the bins and, last, the upper edge of the last one, metres.
     edges: Vec<f64>,

@@ -11,6 +11,7 @@
 //! `|median| + NMAD` at most.
 
 use super::key::{COARSE, Grid, coarse, key, limits, mirrored, rounded};
+use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// Makes the median absolute deviation of a normal distribution its standard deviation.
@@ -57,10 +58,29 @@ fn middle_ranks(count: u64) -> (u64, u64) {
     (count.saturating_sub(1) / 2, count / 2)
 }
 
-/// First pass: errors by the coarse bins of their keys (512 KiB).
-#[derive(Clone, Debug, PartialEq, Eq)]
+/// First pass: errors by the coarse bins of their keys (512 KiB). Stored as the bins that are not
+/// empty.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(from = "Vec<(u16, u64)>", into = "Vec<(u16, u64)>")]
 pub struct CoarseCounts {
     counts: Vec<u64>,
+}
+
+impl From<Vec<(u16, u64)>> for CoarseCounts {
+    fn from(bins: Vec<(u16, u64)>) -> Self {
+        let mut all = Self::new();
+        for (bin, count) in bins {
+            all.counts[usize::from(bin)] += count;
+        }
+        all
+    }
+}
+
+impl From<CoarseCounts> for Vec<(u16, u64)> {
+    fn from(all: CoarseCounts) -> Self {
+        let bins = all.counts.into_iter().enumerate().filter(|(_, count)| *count > 0);
+        bins.map(|(bin, count)| (bin as u16, count)).collect()
+    }
 }
 
 impl Default for CoarseCounts {
@@ -389,7 +409,8 @@ impl Quantiles {
             )
             .collect();
         deviations.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
-        let deviation = middle(weighted_rank(&deviations, first), weighted_rank(&deviations, second));
+        let deviation =
+            middle(weighted_rank(&deviations, first), weighted_rank(&deviations, second));
         Self { median, nmad: NMAD_FACTOR * deviation, le68, le90, p95 }
     }
 

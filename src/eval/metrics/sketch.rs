@@ -119,7 +119,11 @@ impl TryFrom<Vec<u32>> for Sketch {
                 _ => return Err(format!("a sketch of errors has no bin {last}")),
             }
         }
-        if rest.is_empty() { Ok(Self { bins }) } else { Err("a sketch of errors is cut off".into()) }
+        if rest.is_empty() {
+            Ok(Self { bins })
+        } else {
+            Err("a sketch of errors is cut off".into())
+        }
     }
 }
 

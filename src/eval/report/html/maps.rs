@@ -77,8 +77,12 @@ pub(super) fn geographic(evaluation: &Evaluation) -> String {
         .filter_map(|i| {
             let mae = i.scores.as_ref()?.mae_m;
             let (lat, lon) = (i.lat_deg?, i.lon_deg?);
-            (mae.is_finite() && lat.is_finite() && lon.is_finite())
-                .then_some((lat, lon, mae, i.name.as_str()))
+            (mae.is_finite() && lat.is_finite() && lon.is_finite()).then_some((
+                lat,
+                lon,
+                mae,
+                i.name.as_str(),
+            ))
         })
         .collect();
     let Some(first) = places.first() else { return String::new() };
@@ -106,11 +110,8 @@ pub(super) fn geographic(evaluation: &Evaluation) -> String {
     let (low, high) = (quantile(maes.clone(), 0.02), quantile(maes, 0.98));
     let bottom = margin + tall + 14.0;
     let bar = nice_step(room / 6.0 / scale);
-    let said = if bar >= 1000.0 {
-        format!("{} km", px(bar / 1000.0))
-    } else {
-        format!("{} m", px(bar))
-    };
+    let said =
+        if bar >= 1000.0 { format!("{} km", px(bar / 1000.0)) } else { format!("{} m", px(bar)) };
     let mut svg = open(
         "Mean absolute error of each image at its place",
         &format!(
@@ -244,7 +245,10 @@ mod tests {
         let mut one = sample::evaluation("m", Protocol::Paper, 1, 1.0);
         one.by_position = PositionMap { cells: 1, mae_m: vec![1.0], bias_m: vec![0.0] };
         for svg in [geographic(&one), by_position(&one.by_position)] {
-            assert!(svg.contains("</svg>") && !svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+            assert!(
+                svg.contains("</svg>") && !svg.contains("NaN") && !svg.contains("inf"),
+                "{svg}"
+            );
         }
     }
 }

@@ -10,9 +10,9 @@ mod panels;
 mod svg;
 mod tables;
 
+use super::labels;
 use super::number::{count, plural};
 use super::score::alignment;
-use super::labels;
 use crate::eval::Surface;
 use crate::eval::summary::{Evaluation, EvaluationSet};
 use crate::raster::colour;
@@ -125,11 +125,8 @@ fn grid(figures: &[String]) -> String {
 
 fn evaluated(e: &Evaluation) -> String {
     let c = &e.images;
-    let mut text = format!(
-        "evaluated {} of {}",
-        count(c.evaluated),
-        plural(c.found, "image", "images")
-    );
+    let mut text =
+        format!("evaluated {} of {}", count(c.evaluated), plural(c.found, "image", "images"));
     for (number, what) in
         [(c.skipped, "skipped"), (c.failed, "failed"), (c.unaligned, "left unaligned")]
     {
@@ -223,7 +220,10 @@ fn reading(page: &mut String, set: &EvaluationSet) {
         .map(|e| e.conventions.iter().map(|(k, v)| (k.replace('_', " "), v.clone())).collect())
         .unwrap_or_default();
     if !conventions.iter().any(|(name, _)| name == "error") {
-        told.insert(0, ("error", "prediction \u{2212} (aligned truth \u{2212} vertical offset), metres."));
+        told.insert(
+            0,
+            ("error", "prediction \u{2212} (aligned truth \u{2212} vertical offset), metres."),
+        );
     }
     let conventions = conventions.iter().map(|(name, text)| (name.as_str(), text.as_str()));
     for (name, text) in conventions.chain(told) {
@@ -239,7 +239,8 @@ fn style() -> String {
         if backwards {
             table.reverse();
         }
-        let name = |(i, [r, g, b]): (usize, [u8; 3])| format!("--{prefix}{i}:#{r:02x}{g:02x}{b:02x};");
+        let name =
+            |(i, [r, g, b]): (usize, [u8; 3])| format!("--{prefix}{i}:#{r:02x}{g:02x}{b:02x};");
         table.into_iter().enumerate().map(name).collect()
     };
     let diverging = steps(&colour::DIVERGING, 'd', false);
@@ -287,9 +288,12 @@ mod tests {
             let page: String = page
                 .replace(SCRIPT, "")
                 .split("data:image/png;base64,")
-                .map(|part| part.trim_start_matches(|c: char| c.is_alphanumeric() || "+/=".contains(c)))
+                .map(|part| {
+                    part.trim_start_matches(|c: char| c.is_alphanumeric() || "+/=".contains(c))
+                })
                 .collect();
-            for word in ["NaN", "http://", "https://", "//cdn", "@import", "url(", "<link", "inf "] {
+            for word in ["NaN", "http://", "https://", "//cdn", "@import", "url(", "<link", "inf "]
+            {
                 assert!(!page.contains(word), "{name} holds {word}");
             }
             for tag in ["table", "section", "figure", "svg", "details", "dl", "main", "div", "tr"] {
