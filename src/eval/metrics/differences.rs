@@ -227,3 +227,7 @@ fn holm(differences: &mut [Difference]) {
         score.significant = true;
     }
 }
+
+#[cfg(test)]
+#[path = "differences_tests.rs"]
+mod tests;

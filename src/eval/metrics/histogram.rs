@@ -9,9 +9,8 @@ pub struct Histogram {
     /// Lower edges of the bins and, last, the upper edge of the last one, metres.
     edges: Vec<f64>,
     bin_m: f64,
+    /// Below the first bin, per bin, above the last.
     counts: Vec<u64>,
-    below: u64,
-    above: u64,
 }
 
 impl Histogram {
@@ -21,28 +20,23 @@ impl Histogram {
     /// # Panics
     /// When there is no bin, or its width is not above 0 and large enough to tell edges apart.
     #[must_use]
-    pub fn new(low_m: f64, bin_m: f64, bins: usize) -> Self {
-        let edges: Vec<f64> = (0..=bins).map(|edge| low_m + edge as f64 * bin_m).collect();
+    pub fn new(low_m: f64, bin_m: f64, bins: u32) -> Self {
+        let edges: Vec<f64> = (0..=bins).map(|edge| low_m + f64::from(edge) * bin_m).collect();
         assert!(bins > 0 && edges.is_sorted_by(|a, b| a < b), "bins of {bin_m} m from {low_m} m");
-        Self { edges, bin_m, counts: vec![0; bins], below: 0, above: 0 }
+        Self { edges, bin_m, counts: vec![0; bins as usize + 2] }
     }
 
     /// Counts finite errors (metres).
     pub fn add(&mut self, errors: &[f64]) {
-        let bins = self.counts.len();
-        let (low, high, per_metre) = (self.edges[0], self.edges[bins], 1.0 / self.bin_m);
+        let last = (self.counts.len() - 3) as f64;
+        let (low, per_metre) = (self.edges[0], 1.0 / self.bin_m);
         for error in errors {
-            if *error < low {
-                self.below += 1;
-            } else if *error >= high {
-                self.above += 1;
-            } else {
-                // The product may round across an edge, by one bin at most; the edges decide.
-                let near = (((error - low) * per_metre) as usize).min(bins - 1);
-                let bin = near + usize::from(*error >= self.edges[near + 1]);
-                let bin = bin - usize::from(*error < self.edges[bin]);
-                self.counts[bin] += 1;
-            }
+            // The product may round across an edge, by one bin at most; the edges decide. They also
+            // move what is outside from the first or the last bin to the counter beside it.
+            let near = ((error - low) * per_metre).clamp(0.0, last) as u32 as usize;
+            let above = usize::from(*error >= self.edges[near + 1]);
+            let below = usize::from(*error < self.edges[near]);
+            self.counts[1 + near + above - below] += 1;
         }
     }
 
@@ -55,19 +49,18 @@ impl Histogram {
         for (count, more) in self.counts.iter_mut().zip(&other.counts) {
             *count += more;
         }
-        self.below += other.below;
-        self.above += other.above;
     }
 }
 
 impl From<Histogram> for ErrorHistogram {
     fn from(histogram: Histogram) -> Self {
+        let bins = histogram.counts.len() - 2;
         Self {
             low_m: histogram.edges[0],
             bin_m: histogram.bin_m,
-            counts: histogram.counts,
-            below: histogram.below,
-            above: histogram.above,
+            counts: histogram.counts[1..=bins].to_vec(),
+            below: histogram.counts[0],
+            above: histogram.counts[bins + 1],
         }
     }
 }

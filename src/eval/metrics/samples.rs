@@ -101,35 +101,49 @@ pub(super) fn score_names(thresholds: usize, quantiles: bool) -> Vec<String> {
     names
 }
 
-fn row(image: &ImageSample, thresholds: usize) -> Vec<f64> {
+/// Scores of single images are summed up as what they are above those of one of them, so that scores
+/// that are all equal have a mean that is equal to them.
+fn origin(images: &[&ImageSample], thresholds: usize) -> Vec<f64> {
+    let nothing = vec![0.0; column::BELOW + 2 * thresholds];
+    let complete = images.iter().find(|image| image.sums.pixels() > 0 && image.truth_pixels > 0);
+    let mut origin = complete.map_or(nothing.clone(), |image| row(image, &nothing, thresholds));
+    origin[column::IMAGES] = 0.0;
+    origin[column::TRUTH_IMAGES] = 0.0;
+    origin[column::PIXELS..column::BELOW].fill(0.0);
+    origin[column::BELOW + thresholds..].fill(0.0);
+    origin
+}
+
+fn row(image: &ImageSample, origin: &[f64], thresholds: usize) -> Vec<f64> {
     let mut row = vec![0.0; column::BELOW + 2 * thresholds];
     let (sums, pixels) = (&image.sums, image.sums.pixels() as f64);
     if sums.pixels() > 0 {
         row[column::IMAGES] = 1.0;
-        row[column::MAE] = sums.mae();
-        row[column::RMSE] = sums.rmse();
-        row[column::BIAS] = sums.bias();
+        row[column::MAE] = sums.mae() - origin[column::MAE];
+        row[column::RMSE] = sums.rmse() - origin[column::RMSE];
+        row[column::BIAS] = sums.bias() - origin[column::BIAS];
         row[column::PIXELS] = pixels;
         row[column::ABSOLUTE] = sums.mae() * pixels;
         row[column::SQUARE] = sums.rmse() * sums.rmse() * pixels;
         row[column::SUM] = sums.bias() * pixels;
         for threshold in 0..thresholds {
-            row[column::BELOW + threshold] = sums.below_pct(threshold);
+            let at = column::BELOW + threshold;
+            row[at] = sums.below_pct(threshold) - origin[at];
             row[column::BELOW + thresholds + threshold] = sums.below(threshold) as f64;
         }
     }
     if image.truth_pixels > 0 {
         row[column::TRUTH_IMAGES] = 1.0;
-        row[column::COMPLETENESS] = image.completeness_pct();
+        row[column::COMPLETENESS] = image.completeness_pct() - origin[column::COMPLETENESS];
         row[column::TRUTH] = image.truth_pixels as f64;
     }
     row
 }
 
 /// Scores from a row of sums, in the order of [`score_names`].
-pub(super) fn scores(row: &[f64], thresholds: usize, into: &mut Vec<f64>) {
+fn scores(row: &[f64], origin: &[f64], thresholds: usize, into: &mut Vec<f64>) {
     use column::*;
-    let by_image = |at: usize| row[at] / row[IMAGES];
+    let by_image = |at: usize| origin[at] + row[at] / row[IMAGES];
     let by_pixel = |at: usize| row[at] / row[PIXELS];
     into.clear();
     into.extend([
@@ -138,7 +152,7 @@ pub(super) fn scores(row: &[f64], thresholds: usize, into: &mut Vec<f64>) {
         by_image(BELOW),
         by_image(BELOW + 1),
         by_image(BIAS),
-        row[COMPLETENESS] / row[TRUTH_IMAGES],
+        origin[COMPLETENESS] + row[COMPLETENESS] / row[TRUTH_IMAGES],
         by_pixel(ABSOLUTE),
         by_pixel(SQUARE).sqrt(),
         by_pixel(SUM),
@@ -190,6 +204,8 @@ pub(super) fn exact_scores(
 /// Rows of sums and sketches of the units that are drawn: blocks, or single images.
 pub(super) struct Units<'a> {
     columns: usize,
+    /// See [`origin`].
+    origin: Vec<f64>,
     rows: Vec<f64>,
     sketches: Sketches<'a>,
     /// The lowest bin that any unit uses.
@@ -218,17 +234,19 @@ impl<'a> Units<'a> {
     /// Every image is a unit.
     pub fn images(images: &[&'a ImageSample], thresholds: usize) -> Self {
         let sketches = images.iter().map(|image| image.sketch.bins()).collect();
-        let rows = images.iter().flat_map(|image| row(image, thresholds)).collect();
-        Self::new(images.iter().copied(), rows, Sketches::Images(sketches), thresholds)
+        let origin = origin(images, thresholds);
+        let rows = images.iter().flat_map(|image| row(image, &origin, thresholds)).collect();
+        Self::new(images, origin, rows, Sketches::Images(sketches), thresholds)
     }
 
     /// Every block is a unit, in the order of their places.
     pub fn blocks(images: &[&'a ImageSample], thresholds: usize) -> Self {
+        let origin = origin(images, thresholds);
         let mut blocks = BTreeMap::<(i64, i64), (Vec<f64>, BTreeMap<i16, f64>)>::new();
         for image in images {
             let (sum, bins) = blocks.entry(image.block).or_default();
             sum.resize(column::BELOW + 2 * thresholds, 0.0);
-            for (total, value) in sum.iter_mut().zip(row(image, thresholds)) {
+            for (total, value) in sum.iter_mut().zip(row(image, &origin, thresholds)) {
                 *total += value;
             }
             for (bin, count) in image.sketch.bins() {
@@ -239,21 +257,23 @@ impl<'a> Units<'a> {
             .into_values()
             .map(|(row, bins)| (row, bins.into_iter().collect::<Vec<_>>()))
             .unzip();
-        Self::new(images.iter().copied(), rows.concat(), Sketches::Blocks(sketches), thresholds)
+        Self::new(images, origin, rows.concat(), Sketches::Blocks(sketches), thresholds)
     }
 
     fn new(
-        images: impl Iterator<Item = &'a ImageSample> + Clone,
+        images: &[&'a ImageSample],
+        origin: Vec<f64>,
         rows: Vec<f64>,
         sketches: Sketches<'a>,
         thresholds: usize,
     ) -> Self {
-        let bins = images.flat_map(|image| image.sketch.bins()).map(|(bin, _)| i32::from(*bin));
+        let bins = images.iter().flat_map(|image| image.sketch.bins()).map(|(bin, _)| i32::from(*bin));
         let (lowest, highest) =
             bins.fold((i32::MAX, i32::MIN), |(low, high), bin| (low.min(bin), high.max(bin)));
         let (lowest, highest) = if lowest <= highest { (lowest, highest) } else { (0, 0) };
         Self {
             columns: column::BELOW + 2 * thresholds,
+            origin,
             rows,
             sketches,
             lowest,
@@ -277,7 +297,7 @@ impl<'a> Units<'a> {
                 }
             }
         }
-        scores(&workspace.row, self.thresholds, into);
+        scores(&workspace.row, &self.origin, self.thresholds, into);
     }
 
     /// Quantiles in the same case. Counts are whole numbers: their sums are exact.

@@ -4,18 +4,63 @@
 use super::key::rounded;
 use serde::{Deserialize, Serialize};
 
-/// Bits of the mantissa that tell bins apart: 16 bins for every doubling.
-const MANTISSA_BITS: u32 = 4;
-/// Below `2^-6` m (16 mm) bins are equal, `2^-10` m (1 mm) wide.
-const FLOOR_BITS: u32 = (127 - 6) << 23;
-const FLOOR_BIN: u32 = 1 << MANTISSA_BITS;
-const EQUAL_BINS_PER_METRE: f32 = 1024.0;
-/// One more than the bin of the largest `f32`.
-const BINS: usize = (((0xFF << 23) - FLOOR_BITS) >> (23 - MANTISSA_BITS)) as usize + 16;
+/// Errors of some range cut into bins that are equal, or equal within every doubling.
+struct Segment {
+    /// Where it begins, metres: 0 or a power of two.
+    start: f32,
+    /// The bin that begins there.
+    first: u32,
+    /// How it is cut.
+    cut: Cut,
+}
+
+enum Cut {
+    /// Bins per doubling: 2 to this power.
+    Doublings(u32),
+    /// Bins per metre.
+    Metres(f32),
+}
+
+/// Fine in proportion where most errors are; not coarser than 0.5 m up to 512 m and 0.1 % up to
+/// 16 km, so that the spread of errors is still told about a large offset (a wrong datum).
+const SEGMENTS: [Segment; 5] = [
+    Segment { start: 0.0, first: 0, cut: Cut::Metres(1024.0) },
+    Segment { start: 1.0 / 64.0, first: 16, cut: Cut::Doublings(4) },
+    Segment { start: 8.0, first: 160, cut: Cut::Metres(2.0) },
+    Segment { start: 512.0, first: 1168, cut: Cut::Doublings(10) },
+    Segment { start: 16_384.0, first: 6288, cut: Cut::Doublings(4) },
+];
+/// One more than the bin of the largest `f32`: 114 doublings.
+const BINS: usize = 6288 + 114 * 16;
+
+impl Segment {
+    #[inline(always)]
+    fn bin(&self, magnitude: f32) -> u32 {
+        self.first
+            + match self.cut {
+                Cut::Doublings(bits) => (magnitude.to_bits() - self.start.to_bits()) >> (23 - bits),
+                Cut::Metres(per_metre) => ((magnitude - self.start) * per_metre) as u32,
+            }
+    }
+
+    fn edge(&self, bin: u32) -> f64 {
+        let steps = bin - self.first;
+        match self.cut {
+            Cut::Doublings(bits) => {
+                let within = 1.0 + f64::from(steps % (1 << bits)) / f64::from(1_u32 << bits);
+                f64::from(self.start) * libm::ldexp(within, (steps >> bits) as i32)
+            }
+            Cut::Metres(per_metre) => f64::from(self.start) + f64::from(steps) / f64::from(per_metre),
+        }
+    }
+}
 
 /// Numbers of errors in bins that grow with the error: 1 mm wide up to 16 mm, from there 1/16 to 1/32
-/// (3 to 6 %) of the error. Bin `i >= 0` holds errors from [`bin_edge`]`(i)` up to `bin_edge(i + 1)`,
-/// bin `-1 - i` those of opposite sign.
+/// (3 to 6 %) of the error up to 8 m, then 0.5 m up to 512 m, 0.05 to 0.1 % up to 16 km and 3 to 6 %
+/// again beyond.
+///
+/// In JSON: pairs of numbers, how many bins further than the last one (from -32768 on; bins of
+/// negative errors are counted downwards from -1) and how many errors.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "Vec<u32>", into = "Vec<u32>")]
 pub struct Sketch {
@@ -23,15 +68,23 @@ pub struct Sketch {
     bins: Vec<(i16, u32)>,
 }
 
+/// Bin `i >= 0` holds errors from `bin_edge(i)` up to `bin_edge(i + 1)`, bin `-1 - i` those of
+/// opposite sign.
 #[inline(always)]
 fn bin_of(error: f64) -> i16 {
     let value = rounded(error);
-    let magnitude = value.to_bits() & 0x7FFF_FFFF;
-    let bin = if magnitude >= FLOOR_BITS {
-        ((magnitude - FLOOR_BITS) >> (23 - MANTISSA_BITS)) + FLOOR_BIN
+    let magnitude = value.abs();
+    let [finest, low, middle, high, highest] = &SEGMENTS;
+    let segment = if magnitude < middle.start {
+        if magnitude < low.start { finest } else { low }
+    } else if magnitude < high.start {
+        middle
+    } else if magnitude < highest.start {
+        high
     } else {
-        (value.abs() * EQUAL_BINS_PER_METRE) as u32
-    } as i16;
+        highest
+    };
+    let bin = segment.bin(magnitude) as i16;
     if value < 0.0 { -1 - bin } else { bin }
 }
 
@@ -39,13 +92,8 @@ fn bin_of(error: f64) -> i16 {
 #[must_use]
 pub(super) fn bin_edge(bin: i32) -> f64 {
     let magnitude = bin.unsigned_abs();
-    let edge = if magnitude >= FLOOR_BIN {
-        let steps = magnitude - FLOOR_BIN;
-        let within = f64::from(FLOOR_BIN + steps % FLOOR_BIN);
-        within * libm::ldexp(1.0, (steps / FLOOR_BIN) as i32 - 10)
-    } else {
-        f64::from(magnitude) / f64::from(EQUAL_BINS_PER_METRE)
-    };
+    let after = SEGMENTS.partition_point(|segment| segment.first <= magnitude);
+    let edge = SEGMENTS[after.max(1) - 1].edge(magnitude);
     if bin < 0 { -edge } else { edge }
 }
 
@@ -211,5 +259,126 @@ pub(super) fn quantiles(
         deviation: distribution.half_width(median, 0.5 * total),
         le68: distribution.half_width(0.0, 0.68 * total),
         le90: distribution.half_width(0.0, 0.9 * total),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "a test may fail")]
+
+    use super::*;
+    use crate::eval::metrics::{NMAD_FACTOR, Quantiles};
+    use crate::random::{key, normal};
+    use proptest::prelude::*;
+
+    fn quantiles_of(sketch: &Sketch) -> SketchQuantiles {
+        let lowest = i32::from(sketch.bins[0].0);
+        let highest = i32::from(sketch.bins[sketch.bins.len() - 1].0);
+        let mut counts = vec![0.0; (highest - lowest + 1) as usize];
+        for (bin, count) in &sketch.bins {
+            counts[(i32::from(*bin) - lowest) as usize] += f64::from(*count);
+        }
+        let edges: Vec<f64> = (lowest..=highest + 1).map(bin_edge).collect();
+        quantiles(&counts, &edges, &mut Vec::new())
+    }
+
+    /// Width of the bin that holds an error.
+    fn width(error: f64) -> f64 {
+        let bin = i32::from(bin_of(error));
+        bin_edge(bin + 1) - bin_edge(bin)
+    }
+
+    #[test]
+    fn bins_hold_their_errors_and_are_as_narrow_as_stated() {
+        let mut errors: Vec<f64> = (0..4000).map(|i| f64::from(i) * 0.01 + 0.003).collect();
+        errors.extend([1e-45, 1e-3, 0.0156, 0.015_625, 1.0, 1.99, 2.0, 511.9, 512.0, 4000.1, 16_383.0, 16_384.0, 3.4e38, 7e38]);
+        for error in errors.iter().flat_map(|e| [*e, -e]) {
+            let held = f64::from(rounded(error));
+            let bin = i32::from(bin_of(error));
+            let (low, high) = (bin_edge(bin), bin_edge(bin + 1));
+            let inside = if error < 0.0 { low < held && held <= high } else { low <= held && held < high };
+            assert!(inside, "{error} in {low} {high}");
+            let widest = match held.abs() {
+                0.0..8.0 => (held.abs() / 16.0).max(1.0 / 1024.0),
+                8.0..512.0 => 0.5,
+                512.0..16_384.0 => held.abs() / 1024.0,
+                _ => held.abs() / 16.0,
+            };
+            assert!(high - low <= widest && high - low > 0.0, "{error} in {low} {high}");
+        }
+        for (segment, next) in SEGMENTS.iter().zip(&SEGMENTS[1..]) {
+            assert_eq!(segment.edge(next.first), f64::from(next.start));
+            assert_eq!(segment.bin(next.start.next_down()) + 1, next.first);
+        }
+        assert!((bin_of(7e38) as usize) < BINS);
+        assert_eq!(bin_of(0.0), 0);
+        assert_eq!(bin_of(-0.0), 0);
+    }
+
+    #[test]
+    fn quantiles_are_within_their_bins() {
+        for (mean, spread) in [(0.0, 2.0), (0.3, 5.0), (-4.0, 0.5), (0.0, 0.004), (-90.0, 4.0), (4000.0, 30.0)] {
+            let errors: Vec<f64> =
+                (0..20_000).map(|i| mean + spread * normal(key(&[3, i]))).collect();
+            let exact = Quantiles::of(&errors, &mut Vec::new());
+            let found = quantiles_of(&Sketch::of(&errors));
+            // Smooth errors: a tenth of a bin (0.3 to 0.6 % of the error) and 0.1 mm.
+            for (found, exact, share) in [
+                (found.median, exact.median, 0.1),
+                (found.le68, exact.le68, 0.1),
+                (found.le90, exact.le90, 0.1),
+            ] {
+                let bound = share * width(exact) + 1e-4;
+                assert!((found - exact).abs() <= bound, "{mean} {spread}: {found} {exact}");
+            }
+            let deviation = exact.nmad / NMAD_FACTOR;
+            let widest = width(exact.median.abs() + deviation);
+            assert!((found.deviation - deviation).abs() <= 0.3 * widest + 1e-4, "{mean} {spread}");
+        }
+    }
+
+    #[test]
+    fn extreme_errors_do_not_blunt_the_quantiles_of_others() {
+        let mut errors: Vec<f64> = (0..2000).map(|i| normal(key(&[4, i]))).collect();
+        errors.extend([7e38, -7e38, 1e-45]);
+        let exact = Quantiles::of(&errors, &mut Vec::new());
+        let found = quantiles_of(&Sketch::of(&errors));
+        assert!((found.le90 / exact.le90 - 1.0).abs() < 0.01);
+        assert!((found.deviation * NMAD_FACTOR / exact.nmad - 1.0).abs() < 0.03);
+    }
+
+    #[test]
+    fn damaged_sketches_are_refused() {
+        for text in ["[1]", "[0,5]", "[40000,1,0,1]", "[4294967295,1]", "[1,1]", "[60000,1]"] {
+            assert!(serde_json::from_str::<Sketch>(text).is_err(), "{text}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn any_quantile_is_within_a_bin_and_sketches_merge_and_return(
+            errors in proptest::collection::vec(
+                prop_oneof![-50.0..50.0_f64, (-9..9_i32).prop_map(f64::from), -0.1..0.1_f64],
+                1..300,
+            ),
+            split in 0..300_usize,
+        ) {
+            let split = split.min(errors.len());
+            let whole = Sketch::of(&errors);
+            let mut merged = Sketch::of(&errors[..split]);
+            merged.merge(&Sketch::of(&errors[split..]));
+            prop_assert_eq!(&merged, &whole);
+            let text = serde_json::to_string(&whole).unwrap();
+            prop_assert_eq!(&serde_json::from_str::<Sketch>(&text).unwrap(), &whole);
+
+            // The sketch's le90 lies in or between the bins of the order statistics around it.
+            let mut absolute: Vec<f64> = errors.iter().map(|e| e.abs()).collect();
+            absolute.sort_by(f64::total_cmp);
+            let rank = 0.9 * absolute.len() as f64;
+            let low = absolute[(rank - 1.0).max(0.0).floor() as usize];
+            let high = absolute[(rank.ceil() as usize).min(absolute.len() - 1)];
+            let found = quantiles_of(&whole).le90;
+            prop_assert!(found >= low - width(low) - 1e-9 && found <= high + width(high) + 1e-9);
+        }
     }
 }
