@@ -166,11 +166,11 @@ pub fn evaluation(model: &str, protocol: Protocol, images: usize, quality: f64) 
         median_m: -0.117,
         nmad_m: 0.62 * mae_m,
         le68_m: 0.95 * mae_m,
-        le90_m: 2.43 * mae_m,
+        le90_m: 2.303 * mae_m,
         p95_m: 3.2 * mae_m,
         max_m: 58.301,
-        lt_2_5_m_pct: per_image_mean.lt_2_5_m_pct + 0.21,
-        lt_7_5_m_pct: per_image_mean.lt_7_5_m_pct - 0.13,
+        lt_2_5_m_pct: 100.0 * (1.0 - libm::exp(-2.5 / mae_m)),
+        lt_7_5_m_pct: 100.0 * (1.0 - libm::exp(-7.5 / mae_m)),
         thresholds: vec![ThresholdShare {
             threshold_m: 1.0,
             pooled_pct: 31.2,
@@ -283,8 +283,8 @@ fn image(i: usize, protocol: Protocol, quality: f64, noise: &mut Noise) -> Image
         scores: (status == Status::Done).then(|| ImageScores {
             mae_m: mae,
             rmse_m: rmse,
-            lt_2_5_m_pct: 100.0 * libm::exp(-mae / 8.0),
-            lt_7_5_m_pct: 100.0 * libm::exp(-mae / 30.0),
+            lt_2_5_m_pct: 100.0 * (1.0 - libm::exp(-2.5 / mae)),
+            lt_7_5_m_pct: 100.0 * (1.0 - libm::exp(-7.5 / mae)),
             bias_m: 0.3 * bias,
             median_m: 0.1 * bias,
             nmad_m: 0.6 * mae,
@@ -335,8 +335,8 @@ fn strata(pooled: &PooledScores) -> Vec<StratumGroup> {
                     median_m: of(0.1),
                     nmad_m: of(pooled.nmad_m * factor),
                     le90_m: of(pooled.le90_m * factor),
-                    lt_2_5_m_pct: of(pooled.lt_2_5_m_pct / factor.max(0.7)),
-                    lt_7_5_m_pct: of(pooled.lt_7_5_m_pct / factor.max(0.9)),
+                    lt_2_5_m_pct: of(100.0 * (1.0 - libm::exp(-2.5 / (pooled.mae_m * factor)))),
+                    lt_7_5_m_pct: of(100.0 * (1.0 - libm::exp(-7.5 / (pooled.mae_m * factor)))),
                 }
             })
             .collect(),
