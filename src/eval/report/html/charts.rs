@@ -192,8 +192,8 @@ pub(super) fn cumulative(evaluations: &[Evaluation]) -> String {
             if single {
                 plot.svg += &format!(
                     "<text class=value x={} y={}>LE90 = {} m</text>",
-                    px((x + 8.0).min(super::svg::WIDTH - 120.0)),
-                    px(y + 18.0),
+                    px((x + 7.0).min(super::svg::WIDTH - 120.0)),
+                    px(plot.y.at(0.0) - 10.0),
                     fixed(le90, 2)
                 );
             }
@@ -296,7 +296,7 @@ pub(super) fn dots(
     places: impl Iterator<Item = (f64, f64, String, String)>,
     number: usize,
 ) -> String {
-    let radius = if number > 1000 { 2.0 } else { 3.2 };
+    let radius = if number > 1000 { 2.2 } else if number > 200 { 3.2 } else { 4.2 };
     let mut svg = String::from("<g class=dots>");
     if number <= NAMED {
         for (x, y, class, name) in places {

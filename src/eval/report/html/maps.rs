@@ -26,7 +26,7 @@ fn colour_bar(prefix: char, low: f64, high: f64, name: &str, open_ends: bool, y:
     let mut svg = String::new();
     for i in 0..STEPS {
         svg += &format!(
-            "<rect class={prefix}{i} x={} y={} width={} height=10 />",
+            "<rect class={prefix}{i} x={} y={} width={} height=10 shape-rendering=crispEdges />",
             px(left + width * i as f64),
             px(y),
             px(width + 0.4)
@@ -207,7 +207,7 @@ fn heat(values: &[f64], cells: usize, prefix: char, low: f64, high: f64) -> Stri
     }
     let mut svg = String::new();
     for (i, path) in paths.iter().enumerate().filter(|(_, path)| !path.is_empty()) {
-        svg += &format!("<path class={prefix}{i} d=\"{path}\"/>");
+        svg += &format!("<path class={prefix}{i} shape-rendering=crispEdges d=\"{path}\"/>");
     }
     svg += &format!("<rect class=frame x={} y=10 width={side} height={side} />", px(left));
     svg

@@ -45,10 +45,7 @@ pub struct Panel {
 #[must_use]
 pub fn html(set: &EvaluationSet, panels: &[Panel]) -> String {
     let labels = labels(set);
-    let title = match &set.evaluations[..] {
-        [e] => format!("{}, protocol {}", e.model, e.protocol.name()),
-        several => plural(several.len() as u64, "evaluation", "evaluations"),
-    };
+    let title = title(set);
     let mut page = format!(
         "<!DOCTYPE html>\n<html lang=en>\n<head>\n<meta charset=utf-8>\n\
          <meta http-equiv=Content-Security-Policy content=\"default-src 'none'; style-src 'unsafe-inline'; \
@@ -108,6 +105,21 @@ pub fn html(set: &EvaluationSet, panels: &[Panel]) -> String {
     reading(&mut page, set);
     page += &format!("</main>\n<script>\n{SCRIPT}</script>\n</body>\n</html>\n");
     page
+}
+
+/// What was scored, in a line.
+fn title(set: &EvaluationSet) -> String {
+    if let [e] = &set.evaluations[..] {
+        return format!("{}, protocol {}", e.model, e.protocol.name());
+    }
+    let mut models: Vec<&str> = set.evaluations.iter().map(|e| e.model.as_str()).collect();
+    models.dedup();
+    let several = plural(set.evaluations.len() as u64, "evaluation", "evaluations");
+    if models.is_empty() || models.len() > 3 {
+        several
+    } else {
+        format!("{}: {several}", models.join(", "))
+    }
 }
 
 /// A section with a heading, unless there is nothing in it.

@@ -14,7 +14,8 @@ pub(super) fn panels(panels: &[Panel]) -> String {
     let errors: Vec<Surface> = panels.iter().map(error).collect();
     let sizes = errors.iter().flat_map(|e| &e.values).map(|v| f64::from(v.abs()));
     let most = quantile(sizes.filter(|v| v.is_finite()).collect(), 0.98);
-    let most = if most > 0.0 { nice_step(most) } else { 1.0 };
+    let step = nice_step(most / 5.0);
+    let most = if most > 0.0 { (most / step).ceil() * step } else { 1.0 };
     let mut out = String::new();
     for (panel, error) in panels.iter().zip(&errors) {
         let heights = [&panel.prediction, &panel.truth];
@@ -81,12 +82,12 @@ fn bar([low, high]: [f64; 2], map: &[[u8; 3]], name: &str) -> String {
         format!("<svg viewBox=\"0 0 300 46\" role=img><title>Colours of {name_of}</title>");
     for (i, [r, g, b]) in colour::table::<64>(map).into_iter().enumerate() {
         svg += &format!(
-            "<rect x={} y=2 width=4.7 height=11 fill=\"#{r:02x}{g:02x}{b:02x}\"/>",
-            px(10.0 + 280.0 / 64.0 * i as f64)
+            "<rect x={} y=2 width=4.4 height=11 shape-rendering=crispEdges fill=\"#{r:02x}{g:02x}{b:02x}\"/>",
+            px(22.0 + 256.0 / 64.0 * i as f64)
         );
     }
     if high > low {
-        let scale = Scale { low, high, from: 10.0, to: 290.0 };
+        let scale = Scale { low, high, from: 22.0, to: 278.0 };
         for (value, label) in scale.ticks(5) {
             let sign = if low < 0.0 && low == -high && value > 0.0 { "+" } else { "" };
             svg += &format!(

@@ -44,7 +44,11 @@ impl Scale {
     /// Round values on the scale, about `number` of them, with as many decimals as they need.
     pub(super) fn ticks(&self, number: usize) -> Vec<(f64, String)> {
         let step = nice_step((self.high - self.low) / number.max(1) as f64);
-        let digits = (-libm::floor(libm::log10(step) + 1e-9)).clamp(0.0, 6.0) as usize;
+        let whole = |digits: &usize| {
+            let scaled = step * libm::pow(10.0, *digits as f64);
+            (scaled - scaled.round()).abs() < 1e-6 * scaled
+        };
+        let digits = (0..6).find(whole).unwrap_or(6);
         let first = (self.low / step - 1e-6).ceil() as i64;
         let last = (self.high / step + 1e-6).floor() as i64;
         (first..=last.min(first + 50))
@@ -215,6 +219,9 @@ mod tests {
         let ticks = scale.ticks(4);
         let labels: Vec<&str> = ticks.iter().map(|t| t.1.as_str()).collect();
         assert_eq!(labels, ["-1.0", "-0.5", "0.0", "0.5", "1.0"]);
+        let halves = Scale { low: 0.0, high: 7.5, ..scale }.ticks(3);
+        let labels: Vec<&str> = halves.iter().map(|t| t.1.as_str()).collect();
+        assert_eq!(labels, ["0.0", "2.5", "5.0", "7.5"]);
         assert_eq!((scale.at(0.0), scale.at(7.0), scale.at(-7.0)), (50.0, 100.0, 0.0));
     }
 }

@@ -1,7 +1,6 @@
 //! The report's tables.
 
 use super::svg::{escape, px};
-use crate::batch::Status;
 use crate::eval::report::data::flags;
 use crate::eval::report::number::{count, fixed, p_value, plural, range, signed};
 use crate::eval::report::score::{Average, both_ways, interval, published, robust, score};
@@ -9,6 +8,7 @@ use crate::eval::summary::{
     Difference, Estimate, Evaluation, EvaluationSet, ImageScore, ImageScores, Registration,
     StratumGroup,
 };
+use crate::batch::Status;
 
 /// Most images in the table of an evaluation: the best and the worst halves of it.
 const MOST_IMAGES: usize = 2000;
@@ -21,8 +21,11 @@ fn table(class: &str, caption: &str, head: &str, body: &str) -> String {
     )
 }
 
+/// Heads of columns; those of columns that hold words stand at the left.
 fn heads<const N: usize>(names: [&str; N]) -> String {
-    names.iter().map(|name| format!("<th scope=col>{name}</th>")).collect()
+    let words = ["averaged", "status", "reason", "unit", "verdict", "flags and notes", "MAE, RMSE"];
+    let class = |name: &str| if words.contains(&name) { " class=text" } else { "" };
+    names.iter().map(|name| format!("<th scope=col{}>{name}</th>", class(name))).collect()
 }
 
 fn cells<const N: usize>(values: [String; N]) -> String {
@@ -57,13 +60,13 @@ pub(super) fn tiles(e: &Evaluation) -> String {
 
 /// One row per evaluation and published method.
 pub(super) fn comparison(set: &EvaluationSet, labels: &[String]) -> String {
+    let several = set.evaluations.len() > 1;
     let mut body = String::new();
     for (e, label) in set.evaluations.iter().zip(labels) {
-        body += &format!(
-            "<tr><th scope=row>{}</th><td>{}</td>",
+        body += &format!("<tr><th scope=row>{}</th><td>{} of {}</td>",
             escape(label),
-            count(e.images.evaluated)
-        );
+            count(e.images.evaluated),
+            count(e.images.found));
         for (path, value) in published(e) {
             let s = score(path);
             let [(low, high), _] = interval(e, path);
@@ -74,8 +77,10 @@ pub(super) fn comparison(set: &EvaluationSet, labels: &[String]) -> String {
             };
             body += &format!("<td>{}{interval}</td>", fixed(value, s.digits()));
         }
-        let p = &e.pooled;
-        body += &cells([signed(p.bias_m, 2), fixed(p.nmad_m, 2), fixed(p.le90_m, 2)]);
+        if several {
+            let p = &e.pooled;
+            body += &cells([signed(p.bias_m, 2), fixed(p.nmad_m, 2), fixed(p.le90_m, 2)]);
+        }
         body += "</tr>";
     }
     for row in &set.published {
@@ -87,21 +92,24 @@ pub(super) fn comparison(set: &EvaluationSet, labels: &[String]) -> String {
         for value in [s.mae_m, s.rmse_m, s.lt_2_5_m_pct, s.lt_7_5_m_pct] {
             body += &format!("<td>{}</td>", fixed(value, 2));
         }
-        body += "<td></td><td></td><td></td></tr>";
+        body += if several { "<td></td><td></td><td></td></tr>" } else { "</tr>" };
     }
-    let head = heads([
+    let mut head = heads([
         "",
         "images",
         "MAE, m<br><small>mean over images</small>",
         "RMSE, m<br><small>mean over images</small>",
         "under 2.5 m, %<br><small>over all pixels</small>",
         "under 7.5 m, %<br><small>over all pixels</small>",
-        "bias, m<br><small>over all pixels</small>",
-        "NMAD, m<br><small>over all pixels</small>",
-        "LE90, m<br><small>over all pixels</small>",
     ]);
-    let mut out =
-        table("numbers", "Averaged as published, with 95 % intervals by block", &head, &body);
+    if several {
+        head += &heads([
+            "bias, m<br><small>over all pixels</small>",
+            "NMAD, m<br><small>over all pixels</small>",
+            "LE90, m<br><small>over all pixels</small>",
+        ]);
+    }
+    let mut out = table("numbers", "Averaged as published, with 95 % intervals by block", &head, &body);
     let mut sources: Vec<&str> = set.published.iter().map(|row| row.source).collect();
     sources.dedup();
     for source in sources {
@@ -123,8 +131,10 @@ pub(super) fn scores(e: &Evaluation) -> String {
             let [block, naive] = interval(e, path);
             let mark = if s.published { " <span class=badge>as published</span>" } else { "" };
             body += &format!("<td>{}{mark}</td>", unit(&fixed(value, s.digits()), s.unit));
-            body +=
-                &cells([range(block.0, block.1, s.digits()), range(naive.0, naive.1, s.digits())]);
+            body += &cells([
+                range(block.0, block.1, s.digits()),
+                range(naive.0, naive.1, s.digits()),
+            ]);
         }
         body += "</tr>";
     }
@@ -149,8 +159,7 @@ pub(super) fn scores(e: &Evaluation) -> String {
     );
     let mut out = table("numbers both", "Both averages of each score", &head, &body);
 
-    let (mut head, mut values, mut intervals) =
-        (String::from("<td></td>"), String::new(), String::new());
+    let (mut head, mut values, mut intervals) = (String::from("<td></td>"), String::new(), String::new());
     for (path, value) in robust(e) {
         let s = score(path);
         let sign = matches!(path, "pooled.bias_m" | "pooled.median_m");
@@ -173,10 +182,7 @@ pub(super) fn scores(e: &Evaluation) -> String {
         count(e.pooled.truth_pixels)
     );
     out += &if i.blocks < 2 {
-        format!(
-            "No intervals by block: it takes two blocks of {} m with images.",
-            fixed(i.block_m, 0)
-        )
+        format!("No intervals by block: it takes two blocks of {} m with images.", fixed(i.block_m, 0))
     } else {
         format!(
             "Intervals: {} bootstrap draws of {} blocks of {} m. Naive intervals draw single images as if \
@@ -193,12 +199,12 @@ pub(super) fn scores(e: &Evaluation) -> String {
 pub(super) fn differences(differences: &[Difference]) -> String {
     let mut out = String::new();
     for d in differences {
-        let most = d
-            .scores
-            .iter()
-            .flat_map(|s| [s.low.abs(), s.high.abs()])
-            .filter(|v| v.is_finite())
-            .fold(0.0, f64::max);
+        // Metres and per cents cannot share a scale.
+        let most = |unit: &str| {
+            let same = d.scores.iter().filter(|s| score(&s.score).unit == unit);
+            let ends = same.flat_map(|s| [s.low.abs(), s.high.abs()]);
+            ends.filter(|v| v.is_finite()).fold(0.0, f64::max)
+        };
         let mut body = String::new();
         for s in &d.scores {
             let named = score(&s.score);
@@ -216,10 +222,12 @@ pub(super) fn differences(differences: &[Difference]) -> String {
                 signed(s.difference, digits),
                 range(s.low, s.high, digits),
                 p_value(s.p_value).replace('<', "&lt;"),
-                if s.significant { "more than noise" } else { "within noise" }.to_owned(),
-                whisker(s.difference, s.low, s.high, most),
             ]);
-            body += "</tr>";
+            body += &format!(
+                "<td class=text>{}</td><td>{}</td></tr>",
+                if s.significant { "more than noise" } else { "within noise" },
+                whisker(s.difference, s.low, s.high, most(named.unit))
+            );
         }
         let (a, b) = (escape(&d.a), escape(&d.b));
         let head = format!(
@@ -236,7 +244,7 @@ pub(super) fn differences(differences: &[Difference]) -> String {
     if !out.is_empty() {
         out += "<p class=note>Errors: less is better; shares: more is better. \u{201c}More than noise\u{201d}: \
                 the difference is beyond chance at 5 %, after Holm's correction over all differences of this run. \
-                The whiskers share one scale per table, metres or per cent.</p>\n";
+                The whiskers of a table share one scale for metres and one for per cents.</p>\n";
     }
     out
 }
@@ -260,15 +268,10 @@ fn whisker(value: f64, low: f64, high: f64, most: f64) -> String {
 pub(super) fn strata(groups: &[StratumGroup]) -> String {
     let mut out = String::new();
     for group in groups {
-        let most =
-            group.rows.iter().map(|r| r.rmse_m).filter(|v| v.is_finite()).fold(0.0, f64::max);
+        let most = group.rows.iter().map(|r| r.rmse_m).filter(|v| v.is_finite()).fold(0.0, f64::max);
         let mut body = String::new();
         for r in &group.rows {
-            body += &format!(
-                "<tr><th scope=row>{}</th><td>{}</td>",
-                escape(&r.label),
-                bar(r.mae_m, r.rmse_m, most)
-            );
+            body += &format!("<tr><th scope=row>{}</th><td>{}</td>", escape(&r.label), bar(r.mae_m, r.rmse_m, most));
             body += &cells([
                 fixed(r.mae_m, 2),
                 fixed(r.rmse_m, 2),
@@ -285,21 +288,17 @@ pub(super) fn strata(groups: &[StratumGroup]) -> String {
             body += "</tr>";
         }
         let name = escape(&group.name.replace('_', " "));
-        let unit = if group.unit.is_empty() {
-            String::new()
-        } else {
-            format!(", {}", escape(&group.unit))
-        };
+        let unit = if group.unit.is_empty() { String::new() } else { format!(", {}", escape(&group.unit)) };
         let head = format!(
             "<th scope=col>{name}{unit}</th>{}",
             heads([
                 "MAE, RMSE",
-                "MAE, m",
-                "RMSE, m",
-                "bias, m",
-                "median, m",
-                "NMAD, m",
-                "LE90, m",
+                "MAE",
+                "RMSE",
+                "bias",
+                "median",
+                "NMAD",
+                "LE90",
                 "&lt; 2.5 m, %",
                 "&lt; 7.5 m, %",
                 "pixels",
@@ -307,11 +306,11 @@ pub(super) fn strata(groups: &[StratumGroup]) -> String {
                 "complete, %",
             ])
         );
-        out += &table("numbers", &format!("By {name}"), &head, &body);
+        out += &table("numbers", &format!("By {name} (errors in metres, over pixels)"), &head, &body);
         out += &format!("<p class=note>{}</p>\n", escape(&group.description));
     }
     if !out.is_empty() {
-        out += "<p class=note>All over pixels. Bar: MAE; tick: RMSE.</p>\n";
+        out += "<p class=note>Bar: MAE; tick: RMSE, on one scale per table.</p>\n";
     }
     out
 }
@@ -321,10 +320,10 @@ fn bar(mae: f64, rmse: f64, most: f64) -> String {
         return String::new();
     }
     format!(
-        "<svg class=bar width=130 height=14 aria-hidden=true><rect class=\"fill s0\" y=2 width={} height=10 />\
+        "<svg class=bar width=100 height=14 aria-hidden=true><rect class=\"fill s0\" y=2 width={} height=10 />\
          <path class=tickmark d=\"M{} 0V14\"/></svg>",
-        px(126.0 * mae / most),
-        px(126.0 * rmse / most + 0.5)
+        px(97.0 * mae / most),
+        px(97.0 * rmse / most + 0.5)
     )
 }
 
@@ -337,9 +336,8 @@ pub(super) fn registration(r: &Registration) -> String {
             signed(e.value, digits),
             fixed(e.standard_error, digits),
             fixed(e.spread, digits),
-            unit.to_owned(),
         ]);
-        body += "</tr>";
+        body += &format!("<td class=text>{unit}</td></tr>");
     };
     line("truth onto prediction, east", &r.east_m, 2, "m");
     line("truth onto prediction, north", &r.north_m, 2, "m");
@@ -349,8 +347,7 @@ pub(super) fn registration(r: &Registration) -> String {
             line(name, lean, 4, "m per m of height");
         }
     }
-    let head =
-        format!("<td></td>{}", heads(["estimate", "standard error", "spread (NMAD)", "unit"]));
+    let head = format!("<td></td>{}", heads(["estimate", "standard error", "spread (NMAD)", "unit"]));
     table(
         "numbers narrow",
         &format!(
@@ -369,14 +366,11 @@ pub(super) fn missing(e: &Evaluation) -> String {
         let body: String = e
             .reasons
             .iter()
-            .map(|(reason, n)| {
-                format!("<tr><th scope=row>{}</th><td>{}</td></tr>", escape(reason), count(*n))
-            })
+            .map(|(reason, n)| format!("<tr><th scope=row>{}</th><td>{}</td></tr>", escape(reason), count(*n)))
             .collect();
         out += &table("numbers narrow", "Reasons", &heads(["reason", "images"]), &body);
     }
-    let missing: Vec<&ImageScore> =
-        e.per_image.iter().filter(|i| i.status != Status::Done).collect();
+    let missing: Vec<&ImageScore> = e.per_image.iter().filter(|i| i.status != Status::Done).collect();
     if missing.is_empty() {
         return out;
     }
@@ -393,10 +387,7 @@ pub(super) fn missing(e: &Evaluation) -> String {
         })
         .collect();
     let title = format!("{} without scores", plural(missing.len() as u64, "image", "images"));
-    out += &format!(
-        "<details{}><summary>{title}</summary>",
-        if missing.len() <= 20 { " open" } else { "" }
-    );
+    out += &format!("<details{}><summary>Which, and why</summary>", if missing.len() <= 20 { " open" } else { "" });
     out += &table("numbers", &title, &heads(["image", "status", "reason"]), &body);
     if missing.len() > MOST_IMAGES {
         out += &format!(
