@@ -5,6 +5,7 @@
 
 pub mod align;
 mod protocol;
+pub mod registration;
 pub mod strata;
 pub mod summary;
 mod surface;
