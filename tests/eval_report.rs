@@ -333,7 +333,8 @@ fn the_browser_notices_what_a_report_must_not_do() {
     let Some(browser) = browser("the_browser_notices_what_a_report_must_not_do") else { return };
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("report.html");
-    let bad = "<img src=\"https://example.invalid/x.png\"><script>missing_function()</script></main>";
+    let bad =
+        "<img src=\"https://example.invalid/x.png\"><script>missing_function()</script></main>";
     let page = html(&sample::nothing(), &[]).replacen("</main>", bad, 1);
     std::fs::write(&path, instrumented(&page)).expect("writes");
     let document = open(&browser, &path, false, None);

@@ -23,7 +23,7 @@ const STEPS: f64 = 1_048_576.0;
 /// Errors count at most this much in that map, metres, so that sums fit 64 bits.
 const MOST_M: f64 = 10_000.0;
 /// Bins of the histogram of errors: 0.25 m from -30 m to 30 m.
-const HISTOGRAM: (f64, f64, usize) = (-30.0, 0.25, 240);
+const HISTOGRAM: (f64, f64, u32) = (-30.0, 0.25, 240);
 
 /// Float sums of up to [`CHUNK`] images.
 #[derive(Clone, Debug, Serialize, Deserialize)]

@@ -267,7 +267,8 @@ impl<'a> Units<'a> {
         sketches: Sketches<'a>,
         thresholds: usize,
     ) -> Self {
-        let bins = images.iter().flat_map(|image| image.sketch.bins()).map(|(bin, _)| i32::from(*bin));
+        let bins =
+            images.iter().flat_map(|image| image.sketch.bins()).map(|(bin, _)| i32::from(*bin));
         let (lowest, highest) =
             bins.fold((i32::MAX, i32::MIN), |(low, high), bin| (low.min(bin), high.max(bin)));
         let (lowest, highest) = if lowest <= highest { (lowest, highest) } else { (0, 0) };

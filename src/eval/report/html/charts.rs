@@ -296,7 +296,13 @@ pub(super) fn dots(
     places: impl Iterator<Item = (f64, f64, String, String)>,
     number: usize,
 ) -> String {
-    let radius = if number > 1000 { 2.2 } else if number > 200 { 3.2 } else { 4.2 };
+    let radius = if number > 1000 {
+        2.2
+    } else if number > 200 {
+        3.2
+    } else {
+        4.2
+    };
     let mut svg = String::from("<g class=dots>");
     if number <= NAMED {
         for (x, y, class, name) in places {
