@@ -121,9 +121,7 @@ fn published_alignment_of_nineteen_pairs() {
                 assert!(found.flags.is_empty(), "{name}: {:?}", found.flags);
                 // The log has two decimals, shifts are tenths.
                 let y = number_after(log(0), "(y, x): (");
-                let x = number_after(log(0), ", x): (").min(f64::MAX);
                 assert!((found.shift_px.y - y).abs() < 1e-9, "{name}: {:?}, {y}", found.shift_px);
-                let _ = x;
                 let x = log(0).rsplit(", ").next().unwrap().trim_end_matches(')');
                 let x: f64 = x.parse().unwrap();
                 assert!((found.shift_px.x - x).abs() < 1e-9, "{name}: {:?}, {x}", found.shift_px);
@@ -144,8 +142,8 @@ fn published_alignment_of_nineteen_pairs() {
             offsets.push(expected["h_offset"].as_f64().unwrap());
             let low = offsets.iter().copied().fold(f64::INFINITY, f64::min);
             let high = offsets.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-            // Six seeds do not span all that the script may say: the range of 300 seeds is up to
-            // 16 mm wider on either side.
+            // Six seeds do not span what the script may say: 100 go beyond them by 0 to 8 mm, on
+            // one pair by 71 mm.
             let offset = found.vertical_offset_m;
             assert!(
                 offset > low - OFFSET_SLACK_M && offset < high + OFFSET_SLACK_M,
@@ -339,7 +337,7 @@ fn what_has_no_answer_gets_none() {
     };
     let count = size.0 * size.1;
     let mut invented = Vec::new();
-    for seed in 0..60_u64 {
+    for seed in 0..24_u64 {
         let noise = |sigma: f64, which: u64| {
             let mut surface = Surface::new(size.0, size.1, vec![0.0; count]);
             add_noise(&mut surface, sigma, key(&[seed, which]));
@@ -381,7 +379,7 @@ fn what_has_no_answer_gets_none() {
             }
         }
     }
-    assert!(invented.is_empty(), "{} of 480\n{}", invented.len(), invented.join("\n"));
+    assert!(invented.is_empty(), "{} of 192\n{}", invented.len(), invented.join("\n"));
 }
 
 #[test]
@@ -422,8 +420,6 @@ fn hard_input_neither_panics_nor_yields_nan() {
                                 assert!(is_finite(&found), "{at}: {found:?}");
                                 assert_eq!(aligned.size(), truth.size());
                                 assert!(!aligned.values.iter().any(|v| v.is_infinite()), "{at}");
-                                let alone = Aligner::new().align(prediction, truth, &settings);
-                                assert_eq!(alone.unwrap(), found, "{at}");
                             }
                             Err(AlignError::TooFewPixels { pixels, needed }) => {
                                 assert!(pixels < needed && protocol != Protocol::Plain, "{at}");
@@ -451,4 +447,70 @@ fn is_finite(alignment: &Alignment) -> bool {
         }
     }
     numbers.iter().all(|v| v.is_finite())
+}
+
+/// A city of flat roofs with sharp walls, moved by whole pixels.
+fn city(seed: u64, shift: (i64, i64)) -> Surface {
+    const SIDE: i64 = 256;
+    let mut draw = Draw::new(&[seed, 55]);
+    let mut surface = Surface::new(256, 256, vec![0.0; 256 * 256]);
+    for _ in 0..90 {
+        let left = draw.index(300) as i64 - 30 + shift.0;
+        let top = draw.index(300) as i64 - 30 + shift.1;
+        let (across, down) = (8 + draw.index(30) as i64, 8 + draw.index(30) as i64);
+        let roof = draw.range(3.0, 25.0) as f32;
+        for row in top.max(0)..(top + down).clamp(0, SIDE) {
+            for column in left.max(0)..(left + across).clamp(0, SIDE) {
+                surface.values[(row * SIDE + column) as usize] = roof;
+            }
+        }
+    }
+    surface
+}
+
+/// Means over 9 pixels in a row, four times along each axis: close to a Gaussian of 5.2 px.
+fn smooth(surface: &Surface) -> Surface {
+    let mut values = surface.values.clone();
+    for step in [1_usize, 256] {
+        for _ in 0..4 {
+            let old = values.clone();
+            for (i, value) in values.iter_mut().enumerate() {
+                let at = (i / step % 256) as i64;
+                let sum: f32 = (-4..=4)
+                    .map(|k| {
+                        let to = (at + k).clamp(0, 255);
+                        old[(i as i64 + (to - at) * step as i64) as usize]
+                    })
+                    .sum();
+                *value = sum / 9.0;
+            }
+        }
+    }
+    Surface::new(256, 256, values)
+}
+
+#[test]
+fn what_the_guide_says_about_recovery_holds() {
+    let (mut sharp, mut blurred, mut fine) = (0, 0, 0);
+    let mut aligner = Aligner::new();
+    for seed in 0..20_u64 {
+        let mut draw = Draw::new(&[seed, 56]);
+        let mut whole = || draw.index(31) as i64 - 15;
+        let (x, y) = (whole(), whole());
+        let truth = city(seed, (0, 0));
+        let mut prediction = city(seed, (x, y));
+        let near = |found: &Alignment| {
+            let off = libm::hypot(found.shift_px.x - x as f64, found.shift_px.y - y as f64);
+            u32::from(found.flags.is_empty() && off <= 0.5)
+        };
+        let soft = smooth(&prediction);
+        add_noise(&mut prediction, 0.5, seed);
+        let paper = settings(Protocol::Paper);
+        sharp += near(&aligner.align(&prediction, &truth, &paper).unwrap());
+        blurred += near(&aligner.align(&soft, &truth, &paper).unwrap());
+        fine += near(&aligner.align(&soft, &truth, &settings(Protocol::Coregister)).unwrap());
+    }
+    assert!(sharp >= 18, "sharp: {sharp} of 20");
+    assert!(blurred <= 8, "blurred: {blurred} of 20");
+    assert!(fine >= 16, "blurred, co-registered: {fine} of 20");
 }

@@ -13,6 +13,7 @@ mod resample;
 mod rotation;
 mod shade;
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test may fail")]
 mod tests;
 
 pub use resample::{apply, apply_nearest};
