@@ -94,11 +94,7 @@ mod tests {
     fn oklab(colour: [u8; 3]) -> [f64; 3] {
         let [r, g, b] = colour.map(|value| {
             let value = f64::from(value) / 255.0;
-            if value <= 0.04045 {
-                value / 12.92
-            } else {
-                libm::pow((value + 0.055) / 1.055, 2.4)
-            }
+            if value <= 0.04045 { value / 12.92 } else { libm::pow((value + 0.055) / 1.055, 2.4) }
         });
         let l = libm::cbrt(0.412_221_470_8 * r + 0.536_332_536_3 * g + 0.051_445_992_9 * b);
         let m = libm::cbrt(0.211_903_498_2 * r + 0.680_699_545_1 * g + 0.107_396_956_6 * b);
@@ -131,7 +127,8 @@ mod tests {
 
     #[test]
     fn lightness_never_turns_but_at_the_middle_of_the_diverging_map() {
-        let lightness = |map: &[[u8; 3]]| -> Vec<f64> { map.iter().map(|c| oklab(*c)[0]).collect() };
+        let lightness =
+            |map: &[[u8; 3]]| -> Vec<f64> { map.iter().map(|c| oklab(*c)[0]).collect() };
         assert!(lightness(&HEIGHT).is_sorted());
         assert!(lightness(&MAGNITUDE).is_sorted_by(|a, b| a > b));
         let diverging = lightness(&DIVERGING);

@@ -15,7 +15,8 @@ struct Noise(u64);
 
 impl Noise {
     fn next(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        self.0 =
+            self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (self.0 >> 33) as f64 / (1_u64 << 31) as f64
     }
 
@@ -217,7 +218,10 @@ pub fn evaluation(model: &str, protocol: Protocol, images: usize, quality: f64) 
         seed: 1,
         conventions: BTreeMap::from([
             convention("error", "prediction - ground truth, metres"),
-            convention("shift", "applied to the ground truth; +x east, +y south, prediction pixels"),
+            convention(
+                "shift",
+                "applied to the ground truth; +x east, +y south, prediction pixels",
+            ),
             convention("vertical_offset", "subtracted from the ground truth"),
         ]),
         images: ImageCounts {
@@ -234,7 +238,13 @@ pub fn evaluation(model: &str, protocol: Protocol, images: usize, quality: f64) 
         by_position: by_position(mae_m),
         pooled,
         as_published,
-        intervals: Intervals { block_m: 500.0, blocks: 24, replicates: 1000, level_pct: 95.0, scores },
+        intervals: Intervals {
+            block_m: 500.0,
+            blocks: 24,
+            replicates: 1000,
+            level_pct: 95.0,
+            scores,
+        },
         registration: Some(Registration {
             images: with(Status::Done),
             east_m: Estimate { value: 0.412, standard_error: 0.051, spread: 0.63 },
@@ -260,8 +270,7 @@ fn image(i: usize, protocol: Protocol, quality: f64, noise: &mut Noise) -> Image
         23 => Status::Failed,
         _ => Status::Done,
     };
-    let flags =
-        if i % 13 == 5 { vec![AlignmentFlag::ShiftBeyondLimit] } else { Vec::new() };
+    let flags = if i % 13 == 5 { vec![AlignmentFlag::ShiftBeyondLimit] } else { Vec::new() };
     let residuals = |std_m: f64| Residuals {
         pixels: 64_000,
         mean_m: 0.01,
@@ -269,7 +278,10 @@ fn image(i: usize, protocol: Protocol, quality: f64, noise: &mut Noise) -> Image
         std_m,
         nmad_m: 0.7 * std_m,
     };
-    let shift_px = Shift { x: (shift_x * 40.0).round() / 10.0 - 2.0, y: (shift_y * 40.0).round() / 10.0 - 2.0 };
+    let shift_px = Shift {
+        x: (shift_x * 40.0).round() / 10.0 - 2.0,
+        y: (shift_y * 40.0).round() / 10.0 - 2.0,
+    };
     ImageScore {
         name: format!("satellite_{lat:.7}_{lon:.7}"),
         status,
@@ -308,57 +320,78 @@ fn image(i: usize, protocol: Protocol, quality: f64, noise: &mut Noise) -> Image
                 shift_error_px: Shift { x: 0.02, y: 0.03 },
             }),
             flags,
-            notes: if i == 3 { vec!["2 infinite heights taken as no data".to_owned()] } else { Vec::new() },
+            notes: if i == 3 {
+                vec!["2 infinite heights taken as no data".to_owned()]
+            } else {
+                Vec::new()
+            },
         }),
     }
 }
 
 fn strata(pooled: &PooledScores) -> Vec<StratumGroup> {
-    let group = |name: &str, unit: &str, description: &str, bins: &[(&str, f64, f64)]| StratumGroup {
-        name: name.to_owned(),
-        unit: unit.to_owned(),
-        description: description.to_owned(),
-        rows: bins
-            .iter()
-            .map(|(label, share, factor)| {
-                let pixels = (pooled.pixels as f64 * share) as u64;
-                let of = |value: f64| if pixels == 0 { f64::NAN } else { value };
-                StratumRow {
-                    label: (*label).to_owned(),
-                    pixels,
-                    share_pct: 100.0 * share,
-                    truth_pixels: pixels,
-                    completeness_pct: of(99.8),
-                    mae_m: of(pooled.mae_m * factor),
-                    rmse_m: of(pooled.rmse_m * factor),
-                    bias_m: of(0.4 - 0.5 * factor),
-                    median_m: of(0.1),
-                    nmad_m: of(pooled.nmad_m * factor),
-                    le90_m: of(pooled.le90_m * factor),
-                    lt_2_5_m_pct: of(100.0 * (1.0 - libm::exp(-2.5 / (pooled.mae_m * factor)))),
-                    lt_7_5_m_pct: of(100.0 * (1.0 - libm::exp(-7.5 / (pooled.mae_m * factor)))),
-                }
-            })
-            .collect(),
-    };
+    let group =
+        |name: &str, unit: &str, description: &str, bins: &[(&str, f64, f64)]| StratumGroup {
+            name: name.to_owned(),
+            unit: unit.to_owned(),
+            description: description.to_owned(),
+            rows: bins
+                .iter()
+                .map(|(label, share, factor)| {
+                    let pixels = (pooled.pixels as f64 * share) as u64;
+                    let of = |value: f64| if pixels == 0 { f64::NAN } else { value };
+                    StratumRow {
+                        label: (*label).to_owned(),
+                        pixels,
+                        share_pct: 100.0 * share,
+                        truth_pixels: pixels,
+                        completeness_pct: of(99.8),
+                        mae_m: of(pooled.mae_m * factor),
+                        rmse_m: of(pooled.rmse_m * factor),
+                        bias_m: of(0.4 - 0.5 * factor),
+                        median_m: of(0.1),
+                        nmad_m: of(pooled.nmad_m * factor),
+                        le90_m: of(pooled.le90_m * factor),
+                        lt_2_5_m_pct: of(100.0 * (1.0 - libm::exp(-2.5 / (pooled.mae_m * factor)))),
+                        lt_7_5_m_pct: of(100.0 * (1.0 - libm::exp(-7.5 / (pooled.mae_m * factor)))),
+                    }
+                })
+                .collect(),
+        };
     vec![
         group(
             "slope",
             "degrees",
             "Slope of the ground truth.",
-            &[("0 to 5", 0.42, 0.55), ("5 to 15", 0.21, 0.8), ("15 to 30", 0.15, 1.2), ("30 to 60", 0.12, 1.7), ("60 to 90", 0.1, 2.4)],
+            &[
+                ("0 to 5", 0.42, 0.55),
+                ("5 to 15", 0.21, 0.8),
+                ("15 to 30", 0.15, 1.2),
+                ("30 to 60", 0.12, 1.7),
+                ("60 to 90", 0.1, 2.4),
+            ],
         ),
         group(
             "edge_distance",
             "metres",
             "Distance to the nearest height edge of the ground truth.",
-            &[("0 to 1", 0.2, 1.9), ("1 to 2", 0.15, 1.3), ("2 to 5", 0.25, 0.9), ("over 5", 0.4, 0.5)],
+            &[
+                ("0 to 1", 0.2, 1.9),
+                ("1 to 2", 0.15, 1.3),
+                ("2 to 5", 0.25, 0.9),
+                ("over 5", 0.4, 0.5),
+            ],
         ),
         group(
             "class",
             "",
             "Class of the mask.",
-            &[("building", 0.31, 1.6), ("tree & <shrub>", 0.22, 1.2), ("ground", 0.47, 0.5), ("water", 0.0, 1.0)],
+            &[
+                ("building", 0.31, 1.6),
+                ("tree & <shrub>", 0.22, 1.2),
+                ("ground", 0.47, 0.5),
+                ("water", 0.0, 1.0),
+            ],
         ),
     ]
 }
@@ -395,11 +428,13 @@ pub fn panels() -> Vec<Panel> {
         .map(|(caption, seed, blur)| {
             let mut noise = Noise(seed);
             let size = 128_usize;
-            let mut truth: Vec<f32> =
-                (0..size * size).map(|i| (i % size) as f32 * 0.03 + (i / size) as f32 * 0.01).collect();
+            let mut truth: Vec<f32> = (0..size * size)
+                .map(|i| (i % size) as f32 * 0.03 + (i / size) as f32 * 0.01)
+                .collect();
             for _ in 0..40 {
                 let mut within = |most: usize| (noise.next() * most as f64) as usize;
-                let (x, y, w, h) = (within(size - 20), within(size - 20), 5 + within(15), 5 + within(15));
+                let (x, y, w, h) =
+                    (within(size - 20), within(size - 20), 5 + within(15), 5 + within(15));
                 let tall = 4.0 + within(22 * blur) as f32 * 0.3;
                 for j in y..y + h {
                     for i in x..x + w {

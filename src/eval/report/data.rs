@@ -121,9 +121,11 @@ pub fn per_image_table(set: &EvaluationSet) -> Result<Table, TableError> {
         number("shift_x_px", "Shift applied to the truth, pixels of the prediction, + east", |s| {
             s.shift_px.x
         }),
-        number("shift_y_px", "Shift applied to the truth, pixels of the prediction, + south", |s| {
-            s.shift_px.y
-        }),
+        number(
+            "shift_y_px",
+            "Shift applied to the truth, pixels of the prediction, + south",
+            |s| s.shift_px.y,
+        ),
         number("shift_x_m", "The same on the ground, metres, + east", |s| s.shift_m.x),
         number("shift_y_m", "The same on the ground, metres, + south", |s| s.shift_m.y),
         number(

@@ -74,17 +74,14 @@ pub(super) fn score(path: &str) -> Score {
         "as_published" if share => Average::Pixels,
         _ => Average::Other,
     };
-    let published =
-        error && average == Average::Images || share && average == Average::Pixels;
+    let published = error && average == Average::Images || share && average == Average::Pixels;
     Score { name, average, unit, published }
 }
 
 /// Ends of the intervals of a score, by blocks and by single images; NaN where there are none.
 pub(super) fn interval(evaluation: &Evaluation, path: &str) -> [(f64, f64); 2] {
     let found = evaluation.intervals.scores.iter().find(|i| i.score == path);
-    found.map_or([(f64::NAN, f64::NAN); 2], |i| {
-        [(i.low, i.high), (i.naive_low, i.naive_high)]
-    })
+    found.map_or([(f64::NAN, f64::NAN); 2], |i| [(i.low, i.high), (i.naive_low, i.naive_high)])
 }
 
 /// What is aligned, in a few words.

@@ -203,7 +203,8 @@ impl Page {
         if set.evaluations.is_empty() && set.published.is_empty() {
             return;
         }
-        let mut rows = vec![row(["AS PUBLISHED", "images", "MAE m", "RMSE m", "<2.5 m %", "<7.5 m %"])];
+        let mut rows =
+            vec![row(["AS PUBLISHED", "images", "MAE m", "RMSE m", "<2.5 m %", "<7.5 m %"])];
         for (e, label) in set.evaluations.iter().zip(labels) {
             let mut values = vec![label.clone(), count(e.images.evaluated)];
             let level = fixed(e.intervals.level_pct, 0);
@@ -278,8 +279,16 @@ impl Page {
         for d in &set.differences {
             let (a, b) = (clean(&d.a), clean(&d.b));
             let title = format!("{b} - {a}, {}", d.protocol.name());
-            let mut rows =
-                vec![row(["DIFFERENCE", "averaged", "first", "second", "diff.", "interval", "p", ""])];
+            let mut rows = vec![row([
+                "DIFFERENCE",
+                "averaged",
+                "first",
+                "second",
+                "diff.",
+                "interval",
+                "p",
+                "",
+            ])];
             for s in &d.scores {
                 let named = score(&s.score);
                 let digits = named.digits();
@@ -509,7 +518,10 @@ mod tests {
         set.published = published::paper_rows();
         let text = terminal(&set, 80);
         let differs = text.lines().find(|l| l.starts_with("MAE m") && l.contains("over images"));
-        assert!(differs.is_some_and(|l| l.ends_with("< 0.001  *") || l.ends_with("< 0.001 *")), "{text}");
+        assert!(
+            differs.is_some_and(|l| l.ends_with("< 0.001  *") || l.ends_with("< 0.001 *")),
+            "{text}"
+        );
         let row = text.lines().find(|l| l.starts_with("Sat3DGen  ") && l.contains("3.47"));
         assert!(row.is_some(), "{text}");
         let (title, row) = (text.find("PUBLISHED, not"), text.find("Sat2Density++"));

@@ -13,7 +13,8 @@ const NAMED: usize = 4000;
 fn below(histogram: &ErrorHistogram, value: f64) -> f64 {
     let inside: u64 = histogram.counts.iter().sum();
     let all = (histogram.below + inside + histogram.above) as f64;
-    let at = ((value - histogram.low_m) / histogram.bin_m).clamp(0.0, histogram.counts.len() as f64);
+    let at =
+        ((value - histogram.low_m) / histogram.bin_m).clamp(0.0, histogram.counts.len() as f64);
     let whole = at as usize;
     let mut pixels = histogram.below + histogram.counts[..whole].iter().sum::<u64>();
     let part = histogram.counts.get(whole).map_or(0.0, |n| (at - whole as f64) * *n as f64);
@@ -45,9 +46,10 @@ fn reach(evaluations: &[&Evaluation]) -> f64 {
     reach
 }
 
-fn with_pixels<'a>(evaluations: &'a [Evaluation]) -> Vec<(usize, &'a Evaluation)> {
-    let drawable =
-        |e: &Evaluation| total(&e.histogram) > 0 && !e.histogram.counts.is_empty() && e.histogram.bin_m > 0.0;
+fn with_pixels(evaluations: &[Evaluation]) -> Vec<(usize, &Evaluation)> {
+    let drawable = |e: &Evaluation| {
+        total(&e.histogram) > 0 && !e.histogram.counts.is_empty() && e.histogram.bin_m > 0.0
+    };
     evaluations.iter().take(SERIES).enumerate().filter(|(_, e)| drawable(e)).collect()
 }
 
@@ -84,12 +86,10 @@ pub(super) fn distribution(evaluations: &[Evaluation]) -> String {
     let steps = (2.0 * reach / step).round() as usize;
     let edge = |i: usize| -reach + 2.0 * reach * i as f64 / steps as f64;
     let density = |e: &Evaluation, i: usize| {
-        100.0 * (below(&e.histogram, edge(i + 1)) - below(&e.histogram, edge(i))) / (edge(i + 1) - edge(i))
+        100.0 * (below(&e.histogram, edge(i + 1)) - below(&e.histogram, edge(i)))
+            / (edge(i + 1) - edge(i))
     };
-    let most = only
-        .iter()
-        .flat_map(|e| (0..steps).map(|i| density(e, i)))
-        .fold(0.0, f64::max);
+    let most = only.iter().flat_map(|e| (0..steps).map(|i| density(e, i))).fold(0.0, f64::max);
     let top = (most / nice_step(most / 5.0)).ceil() * nice_step(most / 5.0);
     let described = format!(
         "Share of pixels per metre of error, from {} to {reach} metres; highest {} per cent per metre.",
@@ -107,7 +107,8 @@ pub(super) fn distribution(evaluations: &[Evaluation]) -> String {
     }
     plot.mark_x(0.0, "", "zero");
     for (series, e) in &drawn {
-        let stairs = (0..steps).flat_map(|i| [(edge(i), density(e, i)), (edge(i + 1), density(e, i))]);
+        let stairs =
+            (0..steps).flat_map(|i| [(edge(i), density(e, i)), (edge(i + 1), density(e, i))]);
         let line = plot.path(stairs);
         if drawn.len() == 1 {
             let (left, right, bottom) =
@@ -129,6 +130,13 @@ pub(super) fn distribution(evaluations: &[Evaluation]) -> String {
         fixed(outside, 2)
     );
     figure(&plot.end(), &beyond)
+}
+
+/// The limits of the paper and the shares under them, where those are known.
+fn limits(e: &Evaluation) -> impl Iterator<Item = (f64, f64)> {
+    [(2.5, e.pooled.lt_2_5_m_pct), (7.5, e.pooled.lt_7_5_m_pct)]
+        .into_iter()
+        .filter(|(_, share)| share.is_finite())
 }
 
 /// Share of pixels under each absolute error.
@@ -168,7 +176,7 @@ pub(super) fn cumulative(evaluations: &[Evaluation]) -> String {
         });
         let line = plot.path(points);
         plot.svg += &format!("<path class=\"line s{series}\" d=\"{line}\"/>");
-        for (t, share) in [(2.5, e.pooled.lt_2_5_m_pct), (7.5, e.pooled.lt_7_5_m_pct)] {
+        for (t, share) in limits(e) {
             plot.svg += &format!(
                 "<circle class=\"dot s{series}\" cx={} cy={} r=3.5><title>{} % under {t} m</title></circle>",
                 px(plot.x.at(t)),
@@ -199,7 +207,7 @@ pub(super) fn cumulative(evaluations: &[Evaluation]) -> String {
         }
     }
     if let [(_, e)] = &drawn[..] {
-        for (t, share) in [(2.5, e.pooled.lt_2_5_m_pct), (7.5, e.pooled.lt_7_5_m_pct)] {
+        for (t, share) in limits(e) {
             plot.svg += &format!(
                 "<text class=value x={} y={}>{} %</text>",
                 px(plot.x.at(t) + 7.0),
@@ -259,7 +267,8 @@ pub(super) fn scatter(evaluation: &Evaluation, series: usize) -> String {
     let (mae, rmse) = (evaluation.per_image_mean.mae_m, evaluation.per_image_mean.rmse_m);
     plot.svg += &dots(
         images.iter().map(|(name, s)| {
-            let told = format!("{name}: MAE {} m, RMSE {} m", fixed(s.mae_m, 2), fixed(s.rmse_m, 2));
+            let told =
+                format!("{name}: MAE {} m, RMSE {} m", fixed(s.mae_m, 2), fixed(s.rmse_m, 2));
             (plot.x.at(s.mae_m), plot.y.at(s.rmse_m), format!("s{series}"), told)
         }),
         images.len(),
@@ -294,7 +303,13 @@ pub(super) fn dots(
     places: impl Iterator<Item = (f64, f64, String, String)>,
     number: usize,
 ) -> String {
-    let radius = if number > 1000 { 2.2 } else if number > 200 { 3.2 } else { 4.2 };
+    let radius = if number > 1000 {
+        2.2
+    } else if number > 200 {
+        3.2
+    } else {
+        4.2
+    };
     let mut svg = String::from("<g class=dots>");
     if number <= NAMED {
         for (x, y, class, name) in places {
@@ -328,9 +343,15 @@ mod tests {
     #[test]
     fn shares_below_are_linear_within_a_bin() {
         let h = histogram();
-        for (value, share) in
-            [(-9.0, 0.1), (-2.0, 0.1), (-1.5, 0.15), (0.0, 0.4), (0.5, 0.55), (2.0, 0.9), (9.0, 1.0)]
-        {
+        for (value, share) in [
+            (-9.0, 0.1),
+            (-2.0, 0.1),
+            (-1.5, 0.15),
+            (0.0, 0.4),
+            (0.5, 0.55),
+            (2.0, 0.9),
+            (9.0, 1.0),
+        ] {
             assert!((below(&h, value) - share).abs() < 1e-12, "{value}: {}", below(&h, value));
         }
     }

@@ -10,9 +10,9 @@ mod panels;
 mod svg;
 mod tables;
 
+use super::labels;
 use super::number::{count, plural};
 use super::score::alignment;
-use super::labels;
 use crate::eval::Surface;
 use crate::eval::summary::{Evaluation, EvaluationSet};
 use crate::raster::colour;
@@ -137,11 +137,8 @@ fn grid(figures: &[String]) -> String {
 
 fn evaluated(e: &Evaluation) -> String {
     let c = &e.images;
-    let mut text = format!(
-        "evaluated {} of {}",
-        count(c.evaluated),
-        plural(c.found, "image", "images")
-    );
+    let mut text =
+        format!("evaluated {} of {}", count(c.evaluated), plural(c.found, "image", "images"));
     for (number, what) in
         [(c.skipped, "skipped"), (c.failed, "failed"), (c.unaligned, "left unaligned")]
     {
@@ -235,7 +232,10 @@ fn reading(page: &mut String, set: &EvaluationSet) {
         .map(|e| e.conventions.iter().map(|(k, v)| (k.replace('_', " "), v.clone())).collect())
         .unwrap_or_default();
     if !conventions.iter().any(|(name, _)| name == "error") {
-        told.insert(0, ("error", "prediction \u{2212} (aligned truth \u{2212} vertical offset), metres."));
+        told.insert(
+            0,
+            ("error", "prediction \u{2212} (aligned truth \u{2212} vertical offset), metres."),
+        );
     }
     let conventions = conventions.iter().map(|(name, text)| (name.as_str(), text.as_str()));
     for (name, text) in conventions.chain(told) {
@@ -251,7 +251,8 @@ fn style() -> String {
         if backwards {
             table.reverse();
         }
-        let name = |(i, [r, g, b]): (usize, [u8; 3])| format!("--{prefix}{i}:#{r:02x}{g:02x}{b:02x};");
+        let name =
+            |(i, [r, g, b]): (usize, [u8; 3])| format!("--{prefix}{i}:#{r:02x}{g:02x}{b:02x};");
         table.into_iter().enumerate().map(name).collect()
     };
     let diverging = steps(&colour::DIVERGING, 'd', false);
@@ -299,9 +300,12 @@ mod tests {
             let page: String = page
                 .replace(SCRIPT, "")
                 .split("data:image/png;base64,")
-                .map(|part| part.trim_start_matches(|c: char| c.is_alphanumeric() || "+/=".contains(c)))
+                .map(|part| {
+                    part.trim_start_matches(|c: char| c.is_alphanumeric() || "+/=".contains(c))
+                })
                 .collect();
-            for word in ["NaN", "http://", "https://", "//cdn", "@import", "url(", "<link", "inf "] {
+            for word in ["NaN", "http://", "https://", "//cdn", "@import", "url(", "<link", "inf "]
+            {
                 assert!(!page.contains(word), "{name} holds {word}");
             }
             for tag in ["table", "section", "figure", "svg", "details", "dl", "main", "div", "tr"] {
@@ -311,6 +315,59 @@ mod tests {
             }
             assert!(!page.contains("<baseline>"), "{name}");
             assert!(page.contains("How to read this"), "{name}");
+        }
+    }
+
+    #[test]
+    fn wild_numbers_are_drawn_or_left_out() {
+        let wild = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e308, 1e-310, -1e30, 0.0];
+        for (i, value) in wild.into_iter().enumerate() {
+            let mut set = sample::set(&["a", "b"], &[Protocol::Paper], 40);
+            let e = &mut set.evaluations[0];
+            let other = wild[(i + 1) % wild.len()];
+            for (k, image) in e.per_image.iter_mut().enumerate() {
+                let Some(scores) = &mut image.scores else { continue };
+                if k % 3 > 0 {
+                    (scores.mae_m, scores.rmse_m) = (value, other);
+                }
+                (scores.bias_m, scores.vertical_offset_m, scores.shift_px.x) =
+                    (value, other, value);
+                (image.lat_deg, image.lon_deg) = (Some(47.0 + k as f64), Some(value));
+            }
+            e.per_image_mean.mae_m = value;
+            (e.pooled.le90_m, e.pooled.lt_2_5_m_pct, e.pooled.max_m) = (value, value, value);
+            e.by_position.mae_m[3] = value;
+            e.by_position.bias_m[4] = other;
+            (e.strata[0].rows[0].mae_m, e.strata[0].rows[1].rmse_m) = (value, other);
+            for interval in &mut e.intervals.scores {
+                (interval.low, interval.high) = (value, other);
+            }
+            for score in &mut set.differences[0].scores {
+                (score.difference, score.low, score.p_value) = (value, other, value);
+            }
+            set.evaluations[1].histogram.counts.clear();
+            let panel = |of: f32| Panel {
+                caption: "x".to_owned(),
+                name: "y".to_owned(),
+                prediction: Surface::new(2, 1, vec![of, 1.0]),
+                truth: Surface::new(2, 1, vec![1.0, -of]),
+                mae_m: value,
+            };
+            let two = html(&set, &[panel(value as f32)]);
+            set.evaluations.truncate(1);
+            for page in [two, html(&set, &[])] {
+                let page = page.replace(SCRIPT, "");
+                // A dash or an infinity is for people, not for a place in a drawing.
+                for attribute in page.split('<').filter(|tag| tag.contains("=")) {
+                    let tag = attribute.split_once('>').map_or("", |(tag, _)| tag);
+                    let drawn = ["circle ", "path ", "rect ", "svg ", "text "];
+                    if drawn.iter().any(|name| tag.starts_with(name)) {
+                        for bad in ["NaN", "inf", "\u{2013}", "\u{221e}"] {
+                            assert!(!tag.contains(bad), "{value}: {tag}");
+                        }
+                    }
+                }
+            }
         }
     }
 

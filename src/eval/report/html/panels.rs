@@ -78,7 +78,8 @@ fn bar([low, high]: [f64; 2], map: &[[u8; 3]], name: &str) -> String {
     if low.is_nan() || high.is_nan() {
         return String::new();
     }
-    let mut svg = format!("<svg viewBox=\"0 0 300 46\" role=img><title>Colours of {name_of}</title>");
+    let mut svg =
+        format!("<svg viewBox=\"0 0 300 46\" role=img><title>Colours of {name_of}</title>");
     for (i, [r, g, b]) in colour::table::<64>(map).into_iter().enumerate() {
         svg += &format!(
             "<rect x={} y=2 width=4.4 height=11 shape-rendering=crispEdges fill=\"#{r:02x}{g:02x}{b:02x}\"/>",

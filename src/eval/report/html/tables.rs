@@ -1,6 +1,7 @@
 //! The report's tables.
 
 use super::svg::{escape, px};
+use crate::batch::Status;
 use crate::eval::report::data::flags;
 use crate::eval::report::number::{count, fixed, p_value, plural, range, signed};
 use crate::eval::report::score::{Average, both_ways, interval, published, robust, score};
@@ -8,7 +9,6 @@ use crate::eval::summary::{
     Difference, Estimate, Evaluation, EvaluationSet, ImageScore, ImageScores, Registration,
     StratumGroup,
 };
-use crate::batch::Status;
 
 /// Most images in the table of an evaluation: the best and the worst halves of it.
 const MOST_IMAGES: usize = 2000;
@@ -63,10 +63,12 @@ pub(super) fn comparison(set: &EvaluationSet, labels: &[String]) -> String {
     let several = set.evaluations.len() > 1;
     let mut body = String::new();
     for (e, label) in set.evaluations.iter().zip(labels) {
-        body += &format!("<tr><th scope=row>{}</th><td>{} of {}</td>",
+        body += &format!(
+            "<tr><th scope=row>{}</th><td>{} of {}</td>",
             escape(label),
             count(e.images.evaluated),
-            count(e.images.found));
+            count(e.images.found)
+        );
         for (path, value) in published(e) {
             let s = score(path);
             let [(low, high), _] = interval(e, path);
@@ -109,7 +111,8 @@ pub(super) fn comparison(set: &EvaluationSet, labels: &[String]) -> String {
             "LE90, m<br><small>over all pixels</small>",
         ]);
     }
-    let mut out = table("numbers", "Averaged as published, with 95 % intervals by block", &head, &body);
+    let mut out =
+        table("numbers", "Averaged as published, with 95 % intervals by block", &head, &body);
     let mut sources: Vec<&str> = set.published.iter().map(|row| row.source).collect();
     sources.dedup();
     for source in sources {
@@ -131,10 +134,8 @@ pub(super) fn scores(e: &Evaluation) -> String {
             let [block, naive] = interval(e, path);
             let mark = if s.published { " <span class=badge>as published</span>" } else { "" };
             body += &format!("<td>{}{mark}</td>", unit(&fixed(value, s.digits()), s.unit));
-            body += &cells([
-                range(block.0, block.1, s.digits()),
-                range(naive.0, naive.1, s.digits()),
-            ]);
+            body +=
+                &cells([range(block.0, block.1, s.digits()), range(naive.0, naive.1, s.digits())]);
         }
         body += "</tr>";
     }
@@ -159,7 +160,8 @@ pub(super) fn scores(e: &Evaluation) -> String {
     );
     let mut out = table("numbers both", "Both averages of each score", &head, &body);
 
-    let (mut head, mut values, mut intervals) = (String::from("<td></td>"), String::new(), String::new());
+    let (mut head, mut values, mut intervals) =
+        (String::from("<td></td>"), String::new(), String::new());
     for (path, value) in robust(e) {
         let s = score(path);
         let sign = matches!(path, "pooled.bias_m" | "pooled.median_m");
@@ -182,7 +184,10 @@ pub(super) fn scores(e: &Evaluation) -> String {
         count(e.pooled.truth_pixels)
     );
     out += &if i.blocks < 2 {
-        format!("No intervals by block: it takes two blocks of {} m with images.", fixed(i.block_m, 0))
+        format!(
+            "No intervals by block: it takes two blocks of {} m with images.",
+            fixed(i.block_m, 0)
+        )
     } else {
         format!(
             "Intervals: {} bootstrap draws of {} blocks of {} m. Naive intervals draw single images as if \
@@ -268,10 +273,15 @@ fn whisker(value: f64, low: f64, high: f64, most: f64) -> String {
 pub(super) fn strata(groups: &[StratumGroup]) -> String {
     let mut out = String::new();
     for group in groups {
-        let most = group.rows.iter().map(|r| r.rmse_m).filter(|v| v.is_finite()).fold(0.0, f64::max);
+        let most =
+            group.rows.iter().map(|r| r.rmse_m).filter(|v| v.is_finite()).fold(0.0, f64::max);
         let mut body = String::new();
         for r in &group.rows {
-            body += &format!("<tr><th scope=row>{}</th><td>{}</td>", escape(&r.label), bar(r.mae_m, r.rmse_m, most));
+            body += &format!(
+                "<tr><th scope=row>{}</th><td>{}</td>",
+                escape(&r.label),
+                bar(r.mae_m, r.rmse_m, most)
+            );
             body += &cells([
                 fixed(r.mae_m, 2),
                 fixed(r.rmse_m, 2),
@@ -288,7 +298,11 @@ pub(super) fn strata(groups: &[StratumGroup]) -> String {
             body += "</tr>";
         }
         let name = escape(&group.name.replace('_', " "));
-        let unit = if group.unit.is_empty() { String::new() } else { format!(", {}", escape(&group.unit)) };
+        let unit = if group.unit.is_empty() {
+            String::new()
+        } else {
+            format!(", {}", escape(&group.unit))
+        };
         let head = format!(
             "<th scope=col>{name}{unit}</th>{}",
             heads([
@@ -306,7 +320,8 @@ pub(super) fn strata(groups: &[StratumGroup]) -> String {
                 "complete, %",
             ])
         );
-        out += &table("numbers", &format!("By {name} (errors in metres, over pixels)"), &head, &body);
+        out +=
+            &table("numbers", &format!("By {name} (errors in metres, over pixels)"), &head, &body);
         out += &format!("<p class=note>{}</p>\n", escape(&group.description));
     }
     if !out.is_empty() {
@@ -322,8 +337,8 @@ fn bar(mae: f64, rmse: f64, most: f64) -> String {
     format!(
         "<svg class=bar width=100 height=14 aria-hidden=true><rect class=\"fill s0\" y=2 width={} height=10 />\
          <path class=tickmark d=\"M{} 0V14\"/></svg>",
-        px(97.0 * mae / most),
-        px(97.0 * rmse / most + 0.5)
+        px(97.0 * (mae / most).clamp(0.0, 1.0)),
+        px(97.0 * (rmse / most).clamp(0.0, 1.0) + 0.5)
     )
 }
 
@@ -347,7 +362,8 @@ pub(super) fn registration(r: &Registration) -> String {
             line(name, lean, 4, "m per m of height");
         }
     }
-    let head = format!("<td></td>{}", heads(["estimate", "standard error", "spread (NMAD)", "unit"]));
+    let head =
+        format!("<td></td>{}", heads(["estimate", "standard error", "spread (NMAD)", "unit"]));
     table(
         "numbers narrow",
         &format!(
@@ -366,11 +382,14 @@ pub(super) fn missing(e: &Evaluation) -> String {
         let body: String = e
             .reasons
             .iter()
-            .map(|(reason, n)| format!("<tr><th scope=row>{}</th><td>{}</td></tr>", escape(reason), count(*n)))
+            .map(|(reason, n)| {
+                format!("<tr><th scope=row>{}</th><td>{}</td></tr>", escape(reason), count(*n))
+            })
             .collect();
         out += &table("numbers narrow", "Reasons", &heads(["reason", "images"]), &body);
     }
-    let missing: Vec<&ImageScore> = e.per_image.iter().filter(|i| i.status != Status::Done).collect();
+    let missing: Vec<&ImageScore> =
+        e.per_image.iter().filter(|i| i.status != Status::Done).collect();
     if missing.is_empty() {
         return out;
     }
@@ -387,7 +406,10 @@ pub(super) fn missing(e: &Evaluation) -> String {
         })
         .collect();
     let title = format!("{} without scores", plural(missing.len() as u64, "image", "images"));
-    out += &format!("<details{}><summary>Which, and why</summary>", if missing.len() <= 20 { " open" } else { "" });
+    out += &format!(
+        "<details{}><summary>Which, and why</summary>",
+        if missing.len() <= 20 { " open" } else { "" }
+    );
     out += &table("numbers", &title, &heads(["image", "status", "reason"]), &body);
     if missing.len() > MOST_IMAGES {
         out += &format!(
