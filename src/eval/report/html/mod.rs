@@ -93,8 +93,10 @@ pub fn html(set: &EvaluationSet, panels: &[Panel]) -> String {
             if e.images.evaluated > 0 {
                 page += &tables::tiles(e);
                 page += &tables::scores(e);
-                page += &grid(&[charts::scatter(e, i.min(charts::SERIES - 1))]);
-                page += &places(e);
+                let scatter = charts::scatter(e, i.min(charts::SERIES - 1));
+                page += &grid(&[scatter, maps::geographic(e)]);
+                page += &grid(&[maps::by_position(&e.by_position)]);
+                page += &tables::strata(&e.strata);
                 page += &registration(e);
             }
             page += &tables::missing(e);
@@ -315,6 +317,46 @@ mod tests {
             }
             assert!(!page.contains("<baseline>"), "{name}");
             assert!(page.contains("How to read this"), "{name}");
+        }
+    }
+
+    #[test]
+    fn text_and_lines_stand_out_from_the_ground() {
+        // Contrast of WCAG 2: 4.5 for text, 3 for what is drawn.
+        let luminance = |colour: &str| {
+            let full = match colour.len() {
+                3 => colour.chars().flat_map(|c| [c, c]).collect(),
+                _ => colour.to_owned(),
+            };
+            let channel = |i: usize| {
+                let value = u8::from_str_radix(&full[2 * i..2 * i + 2], 16).expect("a colour");
+                let value = f64::from(value) / 255.0;
+                if value <= 0.04045 {
+                    value / 12.92
+                } else {
+                    libm::pow((value + 0.055) / 1.055, 2.4)
+                }
+            };
+            0.2126 * channel(0) + 0.7152 * channel(1) + 0.0722 * channel(2)
+        };
+        for theme in [LIGHT, DARK] {
+            let colour = |name: &str| {
+                let rest = theme.split_once(&format!("--{name}:#")).expect("named").1;
+                luminance(rest.split_once(';').expect("ended").0)
+            };
+            for (name, least) in [("text", 7.0), ("muted", 4.5), ("accent", 4.5)]
+                .into_iter()
+                .chain(["s0", "s1", "s2", "s3", "s4", "s5"].map(|name| (name, 3.0)))
+            {
+                for ground in ["bg", "soft"] {
+                    let [a, b] = [colour(name), colour(ground)].map(|l| l + 0.05);
+                    assert!(
+                        a.max(b) / a.min(b) >= least,
+                        "{name} on {ground}: {}",
+                        a.max(b) / a.min(b)
+                    );
+                }
+            }
         }
     }
 
