@@ -43,12 +43,26 @@ fn sets() -> Vec<(&'static str, EvaluationSet)> {
     ]
 }
 
-fn schema_path() -> PathBuf {
+/// A file of `docs/`.
+fn docs(name: &str) -> PathBuf {
     // Two folders, because this file may be built by a crate beside this one.
     let from_source = Path::new(file!()).parent().and_then(Path::parent);
-    let root = [Some(Path::new(env!("CARGO_MANIFEST_DIR"))), from_source];
-    let found = root.into_iter().flatten().map(|r| r.join("docs/schemas/eval.schema.json"));
-    found.into_iter().find(|p| p.exists()).expect("the schema is in docs/schemas")
+    let roots = [Some(Path::new(env!("CARGO_MANIFEST_DIR"))), from_source];
+    let mut found = roots.into_iter().flatten().map(|root| root.join("docs").join(name));
+    found.find(|path| path.exists()).unwrap_or_else(|| panic!("docs/{name} is there"))
+}
+
+fn schema_path() -> PathBuf {
+    docs("schemas/eval.schema.json")
+}
+
+#[test]
+fn every_column_is_documented() {
+    let text = std::fs::read_to_string(docs("eval-output.md")).expect("readable");
+    let table = per_image_table(&sets()[0].1).expect("a table");
+    for column in table.columns() {
+        assert!(text.contains(&format!("`{}`", column.name)), "{}", column.name);
+    }
 }
 
 #[test]

@@ -46,7 +46,7 @@ fn reach(evaluations: &[&Evaluation]) -> f64 {
     reach
 }
 
-fn with_pixels<'a>(evaluations: &'a [Evaluation]) -> Vec<(usize, &'a Evaluation)> {
+fn with_pixels(evaluations: &[Evaluation]) -> Vec<(usize, &Evaluation)> {
     let drawable = |e: &Evaluation| {
         total(&e.histogram) > 0 && !e.histogram.counts.is_empty() && e.histogram.bin_m > 0.0
     };
@@ -132,6 +132,13 @@ pub(super) fn distribution(evaluations: &[Evaluation]) -> String {
     figure(&plot.end(), &beyond)
 }
 
+/// The limits of the paper and the shares under them, where those are known.
+fn limits(e: &Evaluation) -> impl Iterator<Item = (f64, f64)> {
+    [(2.5, e.pooled.lt_2_5_m_pct), (7.5, e.pooled.lt_7_5_m_pct)]
+        .into_iter()
+        .filter(|(_, share)| share.is_finite())
+}
+
 /// Share of pixels under each absolute error.
 pub(super) fn cumulative(evaluations: &[Evaluation]) -> String {
     let drawn = with_pixels(evaluations);
@@ -169,7 +176,7 @@ pub(super) fn cumulative(evaluations: &[Evaluation]) -> String {
         });
         let line = plot.path(points);
         plot.svg += &format!("<path class=\"line s{series}\" d=\"{line}\"/>");
-        for (t, share) in [(2.5, e.pooled.lt_2_5_m_pct), (7.5, e.pooled.lt_7_5_m_pct)] {
+        for (t, share) in limits(e) {
             plot.svg += &format!(
                 "<circle class=\"dot s{series}\" cx={} cy={} r=3.5><title>{} % under {t} m</title></circle>",
                 px(plot.x.at(t)),
@@ -200,7 +207,7 @@ pub(super) fn cumulative(evaluations: &[Evaluation]) -> String {
         }
     }
     if let [(_, e)] = &drawn[..] {
-        for (t, share) in [(2.5, e.pooled.lt_2_5_m_pct), (7.5, e.pooled.lt_7_5_m_pct)] {
+        for (t, share) in limits(e) {
             plot.svg += &format!(
                 "<text class=value x={} y={}>{} %</text>",
                 px(plot.x.at(t) + 7.0),

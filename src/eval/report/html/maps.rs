@@ -10,6 +10,13 @@ const STEPS: usize = 16;
 /// Metres in a degree of latitude (mean radius of WGS 84).
 const DEGREE_M: f64 = 111_194.9;
 
+/// The least and the greatest of the finite values.
+fn ends(values: impl Iterator<Item = f64>) -> (f64, f64) {
+    values
+        .filter(|v| v.is_finite())
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)))
+}
+
 /// The step of a value on a colour scale.
 fn step(value: f64, low: f64, high: f64) -> usize {
     if high > low {
@@ -91,13 +98,8 @@ pub(super) fn geographic(evaluation: &Evaluation) -> String {
         let apart = lon - first.1;
         first.1 + apart - 360.0 * (apart / 360.0).round()
     };
-    let ends = |of: &dyn Fn(&(f64, f64, f64, &str)) -> f64| {
-        let low = places.iter().map(of).fold(f64::INFINITY, f64::min);
-        let high = places.iter().map(of).fold(f64::NEG_INFINITY, f64::max);
-        (low, high)
-    };
-    let (south, north) = ends(&|p| p.0);
-    let (west, east) = ends(&|p| near(p.1));
+    let (south, north) = ends(places.iter().map(|p| p.0));
+    let (west, east) = ends(places.iter().map(|p| near(p.1)));
     let shrink = libm::cos(((south + north) / 2.0).to_radians()).max(1e-3);
     let (across, up) = ((east - west) * DEGREE_M * shrink, (north - south) * DEGREE_M);
     let margin = 16.0;
@@ -163,13 +165,9 @@ pub(super) fn by_position(map: &PositionMap) -> String {
     if cells == 0 || map.mae_m.len() != cells * cells || map.bias_m.len() != cells * cells {
         return String::new();
     }
-    let ends = |values: &[f64]| {
-        let finite = || values.iter().copied().filter(|v| v.is_finite());
-        (finite().fold(f64::INFINITY, f64::min), finite().fold(f64::NEG_INFINITY, f64::max))
-    };
     let mut out = String::new();
     if known(&map.mae_m) {
-        let (low, high) = ends(&map.mae_m);
+        let (low, high) = ends(map.mae_m.iter().copied());
         let described =
             format!("Mean absolute errors from {} to {} metres.", fixed(low, 2), fixed(high, 2));
         let mut svg = open("Mean absolute error by place in the image", &described, 370.0);
@@ -181,7 +179,7 @@ pub(super) fn by_position(map: &PositionMap) -> String {
         );
     }
     if known(&map.bias_m) {
-        let (low, high) = ends(&map.bias_m);
+        let (low, high) = ends(map.bias_m.iter().copied());
         let end = low.abs().max(high.abs());
         let described = format!("Mean errors from {} to {} metres.", fixed(low, 2), fixed(high, 2));
         let mut svg = open("Mean error by place in the image", &described, 370.0);

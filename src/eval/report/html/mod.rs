@@ -93,8 +93,10 @@ pub fn html(set: &EvaluationSet, panels: &[Panel]) -> String {
             if e.images.evaluated > 0 {
                 page += &tables::tiles(e);
                 page += &tables::scores(e);
-                page += &grid(&[charts::scatter(e, i.min(charts::SERIES - 1))]);
-                page += &places(e);
+                let scatter = charts::scatter(e, i.min(charts::SERIES - 1));
+                page += &grid(&[scatter, maps::geographic(e)]);
+                page += &grid(&[maps::by_position(&e.by_position)]);
+                page += &tables::strata(&e.strata);
                 page += &registration(e);
             }
             page += &tables::missing(e);
@@ -315,6 +317,99 @@ mod tests {
             }
             assert!(!page.contains("<baseline>"), "{name}");
             assert!(page.contains("How to read this"), "{name}");
+        }
+    }
+
+    #[test]
+    fn text_and_lines_stand_out_from_the_ground() {
+        // Contrast of WCAG 2: 4.5 for text, 3 for what is drawn.
+        let luminance = |colour: &str| {
+            let full = match colour.len() {
+                3 => colour.chars().flat_map(|c| [c, c]).collect(),
+                _ => colour.to_owned(),
+            };
+            let channel = |i: usize| {
+                let value = u8::from_str_radix(&full[2 * i..2 * i + 2], 16).expect("a colour");
+                let value = f64::from(value) / 255.0;
+                if value <= 0.04045 {
+                    value / 12.92
+                } else {
+                    libm::pow((value + 0.055) / 1.055, 2.4)
+                }
+            };
+            0.2126 * channel(0) + 0.7152 * channel(1) + 0.0722 * channel(2)
+        };
+        for theme in [LIGHT, DARK] {
+            let colour = |name: &str| {
+                let rest = theme.split_once(&format!("--{name}:#")).expect("named").1;
+                luminance(rest.split_once(';').expect("ended").0)
+            };
+            for (name, least) in [("text", 7.0), ("muted", 4.5), ("accent", 4.5)]
+                .into_iter()
+                .chain(["s0", "s1", "s2", "s3", "s4", "s5"].map(|name| (name, 3.0)))
+            {
+                for ground in ["bg", "soft"] {
+                    let [a, b] = [colour(name), colour(ground)].map(|l| l + 0.05);
+                    assert!(
+                        a.max(b) / a.min(b) >= least,
+                        "{name} on {ground}: {}",
+                        a.max(b) / a.min(b)
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn wild_numbers_are_drawn_or_left_out() {
+        let wild = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e308, 1e-310, -1e30, 0.0];
+        for (i, value) in wild.into_iter().enumerate() {
+            let mut set = sample::set(&["a", "b"], &[Protocol::Paper], 40);
+            let e = &mut set.evaluations[0];
+            let other = wild[(i + 1) % wild.len()];
+            for (k, image) in e.per_image.iter_mut().enumerate() {
+                let Some(scores) = &mut image.scores else { continue };
+                if k % 3 > 0 {
+                    (scores.mae_m, scores.rmse_m) = (value, other);
+                }
+                (scores.bias_m, scores.vertical_offset_m, scores.shift_px.x) =
+                    (value, other, value);
+                (image.lat_deg, image.lon_deg) = (Some(47.0 + k as f64), Some(value));
+            }
+            e.per_image_mean.mae_m = value;
+            (e.pooled.le90_m, e.pooled.lt_2_5_m_pct, e.pooled.max_m) = (value, value, value);
+            e.by_position.mae_m[3] = value;
+            e.by_position.bias_m[4] = other;
+            (e.strata[0].rows[0].mae_m, e.strata[0].rows[1].rmse_m) = (value, other);
+            for interval in &mut e.intervals.scores {
+                (interval.low, interval.high) = (value, other);
+            }
+            for score in &mut set.differences[0].scores {
+                (score.difference, score.low, score.p_value) = (value, other, value);
+            }
+            set.evaluations[1].histogram.counts.clear();
+            let panel = |of: f32| Panel {
+                caption: "x".to_owned(),
+                name: "y".to_owned(),
+                prediction: Surface::new(2, 1, vec![of, 1.0]),
+                truth: Surface::new(2, 1, vec![1.0, -of]),
+                mae_m: value,
+            };
+            let two = html(&set, &[panel(value as f32)]);
+            set.evaluations.truncate(1);
+            for page in [two, html(&set, &[])] {
+                let page = page.replace(SCRIPT, "");
+                // A dash or an infinity is for people, not for a place in a drawing.
+                for attribute in page.split('<').filter(|tag| tag.contains("=")) {
+                    let tag = attribute.split_once('>').map_or("", |(tag, _)| tag);
+                    let drawn = ["circle ", "path ", "rect ", "svg ", "text "];
+                    if drawn.iter().any(|name| tag.starts_with(name)) {
+                        for bad in ["NaN", "inf", "\u{2013}", "\u{221e}"] {
+                            assert!(!tag.contains(bad), "{value}: {tag}");
+                        }
+                    }
+                }
+            }
         }
     }
 

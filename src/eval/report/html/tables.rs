@@ -45,7 +45,7 @@ pub(super) fn tiles(e: &Evaluation) -> String {
         let interval = if low.is_nan() || high.is_nan() {
             "no interval".to_owned()
         } else {
-            format!("{} % interval {}", fixed(e.intervals.level_pct, 0), range(low, high, 2))
+            format!("{} ({} %)", range(low, high, 2), fixed(e.intervals.level_pct, 0))
         };
         out += &format!(
             "<div><dt>{}</dt><dd><b>{}</b>&nbsp;{}</dd><dd>{}</dd><dd>{interval}</dd></div>",
@@ -97,7 +97,7 @@ pub(super) fn comparison(set: &EvaluationSet, labels: &[String]) -> String {
         body += if several { "<td></td><td></td><td></td></tr>" } else { "</tr>" };
     }
     let mut head = heads([
-        "",
+        "predictions",
         "images",
         "MAE, m<br><small>mean over images</small>",
         "RMSE, m<br><small>mean over images</small>",
@@ -148,7 +148,7 @@ pub(super) fn scores(e: &Evaluation) -> String {
         );
     }
     let head = format!(
-        "<th></th>{}",
+        "<th scope=col>score</th>{}",
         heads([
             Average::Images.name(),
             "95 % by block",
@@ -337,8 +337,8 @@ fn bar(mae: f64, rmse: f64, most: f64) -> String {
     format!(
         "<svg class=bar width=100 height=14 aria-hidden=true><rect class=\"fill s0\" y=2 width={} height=10 />\
          <path class=tickmark d=\"M{} 0V14\"/></svg>",
-        px(97.0 * mae / most),
-        px(97.0 * rmse / most + 0.5)
+        px(97.0 * (mae / most).clamp(0.0, 1.0)),
+        px(97.0 * (rmse / most).clamp(0.0, 1.0) + 0.5)
     )
 }
 
