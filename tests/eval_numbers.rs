@@ -100,10 +100,7 @@ fn close(found: f64, expected: &serde_json::Value, relative: f64, slack: f64, wh
 fn numbers_agree_with_numpy_and_scipy() {
     let Some(python) = python() else {
         let why = "no python with numpy and scipy (set SAT3D_TEST_PYTHON)";
-        let _ = writeln!(
-            std::io::stderr(),
-            "SKIPPED numbers_agree_with_numpy_and_scipy: {why}"
-        );
+        let _ = writeln!(std::io::stderr(), "SKIPPED numbers_agree_with_numpy_and_scipy: {why}");
         return;
     };
     let folder = tempfile::tempdir().unwrap();

@@ -96,7 +96,12 @@ pub(super) fn ends(replicates: &mut Vec<f64>, units: usize, level_pct: f64) -> (
 }
 
 /// Replicates of all scores, score by score, drawing units.
-fn replicates(units: &Units<'_>, exact: &Quantiles, which: u64, settings: &BootstrapSettings) -> Vec<Vec<f64>> {
+fn replicates(
+    units: &Units<'_>,
+    exact: &Quantiles,
+    which: u64,
+    settings: &BootstrapSettings,
+) -> Vec<Vec<f64>> {
     let centre = Centre::new(exact, units, &mut Workspace::default());
     let drawn: Vec<Vec<f64>> = (0..settings.replicates)
         .into_par_iter()

@@ -56,7 +56,7 @@ fn score<'a>(intervals: &'a Intervals, name: &str) -> &'a Interval {
 
 #[test]
 fn blocks_cover_the_truth_where_single_images_do_not() {
-    let (sets, within) = (150, 0.5_f64);
+    let (sets, within) = (100, 0.5_f64);
     let spread = (1.0 + within).sqrt();
     let truths = [
         ("pooled.bias_m", 0.0),
@@ -69,7 +69,7 @@ fn blocks_cover_the_truth_where_single_images_do_not() {
     ];
     let mut covered = [(0, 0); 7];
     for seed in 0..sets {
-        let (images, all) = overlapping(seed, 50, 10, within);
+        let (images, all) = overlapping(seed, 40, 10, within);
         let intervals = found(&images, &all, &BootstrapSettings { seed, ..SETTINGS });
         for ((name, truth), (by_block, naive)) in truths.iter().zip(&mut covered) {
             let interval = score(&intervals, name);
@@ -77,11 +77,11 @@ fn blocks_cover_the_truth_where_single_images_do_not() {
             *naive += u32::from(interval.naive_low <= *truth && *truth <= interval.naive_high);
         }
     }
-    // The standard error of these shares is 2 %.
+    // The standard error of these shares is 2 to 3 %.
     for ((name, _), (by_block, naive)) in truths.iter().zip(covered) {
         let share = |count: u32| f64::from(count) / sets as f64;
         eprintln!("{name}: blocks {:.3}, single images {:.3}", share(by_block), share(naive));
-        assert!((0.87..=0.99).contains(&share(by_block)), "{name}: {}", share(by_block));
+        assert!((0.86..=1.0).contains(&share(by_block)), "{name}: {}", share(by_block));
         assert!(share(naive) < share(by_block) - 0.1, "{name}: {}", share(naive));
     }
 }
@@ -114,9 +114,8 @@ fn values_are_the_scores_and_lie_within_their_intervals() {
     sums.add(&all, &threshold_list(&[1.0]));
     let intervals = found(&images, &all, &SETTINGS);
     let (means, below) = mean_scores(&images, 3);
-    let by_hand = |of: &dyn Fn(&ImageSample) -> f64| {
-        images.iter().map(of).sum::<f64>() / images.len() as f64
-    };
+    let by_hand =
+        |of: &dyn Fn(&ImageSample) -> f64| images.iter().map(of).sum::<f64>() / images.len() as f64;
     assert!((means.mae_m - by_hand(&|image| image.sums.mae())).abs() < 1e-12);
     let completeness = by_hand(&|image| 100.0 * 6.0 / image.truth_pixels as f64);
     assert!((means.completeness_pct - completeness).abs() < 1e-10);
@@ -195,12 +194,18 @@ fn images_without_a_pixel_only_count_for_completeness() {
         images.push(empty);
     }
     let after = found(&images, &all, &SETTINGS);
-    assert_eq!(score(&after, "per_image_mean.mae_m").value, score(&before, "per_image_mean.mae_m").value);
-    assert_eq!(score(&after, "pooled.rmse_m"), &Interval {
-        naive_low: score(&after, "pooled.rmse_m").naive_low,
-        naive_high: score(&after, "pooled.rmse_m").naive_high,
-        ..score(&before, "pooled.rmse_m").clone()
-    });
+    assert_eq!(
+        score(&after, "per_image_mean.mae_m").value,
+        score(&before, "per_image_mean.mae_m").value
+    );
+    assert_eq!(
+        score(&after, "pooled.rmse_m"),
+        &Interval {
+            naive_low: score(&after, "pooled.rmse_m").naive_low,
+            naive_high: score(&after, "pooled.rmse_m").naive_high,
+            ..score(&before, "pooled.rmse_m").clone()
+        }
+    );
     let completeness = |of: &Intervals| score(of, "per_image_mean.completeness_pct").value;
     assert!((completeness(&after) - completeness(&before) * 30.0 / 34.0).abs() < 1e-10);
     assert!(after.scores.iter().all(|interval| interval.low <= interval.high));
@@ -232,7 +237,8 @@ fn blocks_are_as_large_as_asked_for_everywhere() {
             let mut lengths = vec![0_u32];
             let mut last = block_of(at, 500.0);
             for step in 0..2000 {
-                let block = block_of((at.0 + east * f64::from(step), lat + north * f64::from(step)), 500.0);
+                let block =
+                    block_of((at.0 + east * f64::from(step), lat + north * f64::from(step)), 500.0);
                 let crossed = if north > 0.0 { block.0 != last.0 } else { block != last };
                 if crossed {
                     lengths.push(0);

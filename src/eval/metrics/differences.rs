@@ -122,10 +122,8 @@ impl<'a> Pair<'a> {
                 moved.map_or(*image, |at| &placed[at])
             })
             .collect();
-        let units = [
-            Units::blocks(&self.images[0], thresholds),
-            Units::blocks(&images_b, thresholds),
-        ];
+        let units =
+            [Units::blocks(&self.images[0], thresholds), Units::blocks(&images_b, thresholds)];
         let values = [0, 1].map(|side| {
             let quantiles = self.quantiles.as_ref().map(|both| &both[side]);
             exact_scores(&self.images[side], thresholds, quantiles)

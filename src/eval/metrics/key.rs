@@ -61,8 +61,7 @@ impl Grid {
     /// 0), or half of it.
     pub fn for_scale(scale: f32) -> Self {
         let exponent = (scale.to_bits() >> 23).saturating_sub(1).max(1);
-        let spacing_bits =
-            if exponent > 23 { (exponent - 23) << 23 } else { 1 << (exponent - 1) };
+        let spacing_bits = if exponent > 23 { (exponent - 23) << 23 } else { 1 << (exponent - 1) };
         Self { floor_bits: exponent << 23, spacing_bits }
     }
 

@@ -389,7 +389,8 @@ impl Quantiles {
             )
             .collect();
         deviations.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
-        let deviation = middle(weighted_rank(&deviations, first), weighted_rank(&deviations, second));
+        let deviation =
+            middle(weighted_rank(&deviations, first), weighted_rank(&deviations, second));
         Self { median, nmad: NMAD_FACTOR * deviation, le68, le90, p95 }
     }
 

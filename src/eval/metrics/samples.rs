@@ -193,9 +193,9 @@ pub(super) fn exact_scores(
         pooled.below_pct(1),
         100.0 * pooled.pixels() as f64 / truth as f64,
     ];
-    for threshold in 2..thresholds {
+    for (threshold, mean_pct) in below.iter().enumerate().skip(2) {
         scores.push(pooled.below_pct(threshold));
-        scores.push(below[threshold]);
+        scores.push(*mean_pct);
     }
     scores.extend(quantiles.iter().flat_map(|q| [q.median, q.nmad, q.le68, q.le90]));
     scores
@@ -267,7 +267,8 @@ impl<'a> Units<'a> {
         sketches: Sketches<'a>,
         thresholds: usize,
     ) -> Self {
-        let bins = images.iter().flat_map(|image| image.sketch.bins()).map(|(bin, _)| i32::from(*bin));
+        let bins =
+            images.iter().flat_map(|image| image.sketch.bins()).map(|(bin, _)| i32::from(*bin));
         let (lowest, highest) =
             bins.fold((i32::MAX, i32::MIN), |(low, high), bin| (low.min(bin), high.max(bin)));
         let (lowest, highest) = if lowest <= highest { (lowest, highest) } else { (0, 0) };
@@ -356,4 +357,3 @@ impl Centre {
         ]
     }
 }
-

@@ -50,7 +50,9 @@ impl Segment {
                 let within = 1.0 + f64::from(steps % (1 << bits)) / f64::from(1_u32 << bits);
                 f64::from(self.start) * libm::ldexp(within, (steps >> bits) as i32)
             }
-            Cut::Metres(per_metre) => f64::from(self.start) + f64::from(steps) / f64::from(per_metre),
+            Cut::Metres(per_metre) => {
+                f64::from(self.start) + f64::from(steps) / f64::from(per_metre)
+            }
         }
     }
 }
@@ -167,7 +169,11 @@ impl TryFrom<Vec<u32>> for Sketch {
                 _ => return Err(format!("a sketch of errors has no bin {last}")),
             }
         }
-        if rest.is_empty() { Ok(Self { bins }) } else { Err("a sketch of errors is cut off".into()) }
+        if rest.is_empty() {
+            Ok(Self { bins })
+        } else {
+            Err("a sketch of errors is cut off".into())
+        }
     }
 }
 
@@ -287,12 +293,16 @@ mod tests {
     #[test]
     fn bins_hold_their_errors_and_are_as_narrow_as_stated() {
         let mut errors: Vec<f64> = (0..4000).map(|i| f64::from(i) * 0.01 + 0.003).collect();
-        errors.extend([1e-45, 1e-3, 0.0156, 0.015_625, 1.0, 1.99, 2.0, 511.9, 512.0, 4000.1, 16_383.0, 16_384.0, 3.4e38, 7e38]);
+        errors.extend([
+            1e-45, 1e-3, 0.0156, 0.015_625, 1.0, 1.99, 2.0, 511.9, 512.0, 4000.1, 16_383.0,
+            16_384.0, 3.4e38, 7e38,
+        ]);
         for error in errors.iter().flat_map(|e| [*e, -e]) {
             let held = f64::from(rounded(error));
             let bin = i32::from(bin_of(error));
             let (low, high) = (bin_edge(bin), bin_edge(bin + 1));
-            let inside = if error < 0.0 { low < held && held <= high } else { low <= held && held < high };
+            let inside =
+                if error < 0.0 { low < held && held <= high } else { low <= held && held < high };
             assert!(inside, "{error} in {low} {high}");
             let widest = match held.abs() {
                 0.0..8.0 => (held.abs() / 16.0).max(1.0 / 1024.0),
@@ -313,7 +323,9 @@ mod tests {
 
     #[test]
     fn quantiles_are_within_their_bins() {
-        for (mean, spread) in [(0.0, 2.0), (0.3, 5.0), (-4.0, 0.5), (0.0, 0.004), (-90.0, 4.0), (4000.0, 30.0)] {
+        for (mean, spread) in
+            [(0.0, 2.0), (0.3, 5.0), (-4.0, 0.5), (0.0, 0.004), (-90.0, 4.0), (4000.0, 30.0)]
+        {
             let errors: Vec<f64> =
                 (0..20_000).map(|i| mean + spread * normal(key(&[3, i]))).collect();
             let exact = Quantiles::of(&errors, &mut Vec::new());

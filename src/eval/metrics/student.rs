@@ -13,9 +13,7 @@ pub(super) fn normal_tail(z: f64) -> f64 {
 pub(super) fn student_tail(t: f64, degrees: u64) -> f64 {
     let freedom = degrees as f64;
     if degrees > 1000 {
-        return normal_tail(
-            t * (1.0 - 0.25 / freedom) / (1.0 + t * t / (2.0 * freedom)).sqrt(),
-        );
+        return normal_tail(t * (1.0 - 0.25 / freedom) / (1.0 + t * t / (2.0 * freedom)).sqrt());
     }
     let cosine_squared = freedom / (freedom + t * t);
     let sine = t / (freedom + t * t).sqrt();
@@ -23,8 +21,7 @@ pub(super) fn student_tail(t: f64, degrees: u64) -> f64 {
     let (mut term, mut sum) = (1.0, if degrees > 1 { 1.0 } else { 0.0 });
     for k in 1..(degrees / 2) {
         let k = k as f64;
-        let (above, below) =
-            if odd { (2.0 * k, 2.0 * k + 1.0) } else { (2.0 * k - 1.0, 2.0 * k) };
+        let (above, below) = if odd { (2.0 * k, 2.0 * k + 1.0) } else { (2.0 * k - 1.0, 2.0 * k) };
         term *= cosine_squared * above / below;
         sum += term;
     }

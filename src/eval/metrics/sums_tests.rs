@@ -142,7 +142,8 @@ fn an_error_at_a_threshold_does_not_count() {
     let mut errors = Vec::new();
     for threshold in [2.5_f64, 7.5, 1.0] {
         for sign in [1.0, -1.0] {
-            errors.extend([threshold, threshold.next_down(), threshold.next_up()].map(|e| e * sign));
+            errors
+                .extend([threshold, threshold.next_down(), threshold.next_up()].map(|e| e * sign));
         }
     }
     let sums = of(&errors);
