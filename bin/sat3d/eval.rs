@@ -74,10 +74,10 @@ struct ScoreArgs {
     #[arg(long, value_name = "M")]
     gsd: Option<f64>,
     /// Further thresholds beside 2.5 and 7.5, metres
-    #[arg(long, value_name = "M,M", value_delimiter = ',')]
+    #[arg(long, value_name = "M,M", value_delimiter = ',', allow_negative_numbers = true)]
     thresholds: Vec<f64>,
     /// Side of the blocks that the bootstrap draws, metres
-    #[arg(long, default_value_t = 500.0, value_name = "M")]
+    #[arg(long, default_value_t = 500.0, value_name = "M", allow_negative_numbers = true)]
     block: f64,
     /// Draws of the bootstrap
     #[arg(long, default_value_t = 2000, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1_000_000))]

@@ -77,7 +77,9 @@ fn bilinear(source: &Surface, width: usize, height: usize) -> Surface {
     let fill = |line: &mut Vec<f32>, row: usize| {
         let from = &source.values[row * source.width..][..source.width];
         for (value, &(a, b, weight)) in line.iter_mut().zip(&columns) {
-            *value = from[a] * (1.0 - weight) + from[b] * weight;
+            // In this form, across and then down, it is OpenCV's to the bit: the height of a peak in the
+            // phase correlation can hang on the last digit.
+            *value = from[a] + (from[b] - from[a]) * weight;
         }
     };
     for (top, bottom, weight) in taps(source.height, height) {
@@ -88,7 +90,7 @@ fn bilinear(source: &Surface, width: usize, height: usize) -> Surface {
             }
         }
         let [upper, lower] = &lines;
-        values.extend(upper.iter().zip(lower).map(|(&u, &l)| u * (1.0 - weight) + l * weight));
+        values.extend(upper.iter().zip(lower).map(|(&u, &l)| u + (l - u) * weight));
     }
     Surface::new(width, height, values)
 }

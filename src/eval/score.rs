@@ -239,6 +239,9 @@ pub fn alignment_of(scores: &ImageScores) -> Alignment {
         shift_px: scores.shift_px,
         rotation_deg: scores.rotation_deg,
         vertical_offset_m: scores.vertical_offset_m,
+        // These two decide how `apply` interpolates.
+        correlation: scores.correlation,
+        flags: scores.flags.clone(),
         ..Alignment::default()
     }
 }

@@ -22,8 +22,8 @@ const CELLS: usize = 32;
 const STEPS: f64 = 1_048_576.0;
 /// Errors count at most this much in that map, metres, so that sums fit 64 bits.
 const MOST_M: f64 = 10_000.0;
-/// Bins of the histogram of errors: 0.25 m from -30 m to 30 m.
-const HISTOGRAM: (f64, f64, u32) = (-30.0, 0.25, 240);
+/// Bins of the histogram of errors: 0.25 m from -50 m to 50 m.
+const HISTOGRAM: (f64, f64, u32) = (-50.0, 0.25, 400);
 
 /// Float sums of up to [`CHUNK`] images.
 #[derive(Clone, Debug, Serialize, Deserialize)]

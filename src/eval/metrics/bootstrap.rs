@@ -25,6 +25,9 @@ const METRES_PER_DEGREE: f64 = 6_371_008.8 * std::f64::consts::PI / 180.0;
 /// Names the sequences of random numbers of this module.
 const PURPOSE: u64 = 0x424F_4F54;
 
+/// Replicates that are worked on together.
+const BATCH: u32 = 16;
+
 /// How intervals are drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BootstrapSettings {
@@ -103,19 +106,29 @@ fn replicates(
     settings: &BootstrapSettings,
 ) -> Vec<Vec<f64>> {
     let centre = Centre::new(exact, units, &mut Workspace::default());
-    let drawn: Vec<Vec<f64>> = (0..settings.replicates)
+    let batches = settings.replicates.div_ceil(BATCH);
+    let drawn: Vec<Vec<f64>> = (0..batches)
         .into_par_iter()
-        .map_init(
-            || (Workspace::default(), vec![0; units.len()]),
-            |(workspace, weights), replicate| {
-                draw(&[settings.seed, PURPOSE, which, u64::from(replicate)], weights);
+        .map_init(Workspace::default, |workspace, batch| {
+            let first = batch * BATCH;
+            let weights: Vec<Vec<u32>> = (first..settings.replicates.min(first + BATCH))
+                .map(|replicate| {
+                    let mut weights = vec![0; units.len()];
+                    draw(&[settings.seed, PURPOSE, which, u64::from(replicate)], &mut weights);
+                    weights
+                })
+                .collect();
+            let quantiles = units.quantiles(&weights, workspace);
+            let scores = weights.iter().zip(quantiles).map(|(weights, quantiles)| {
                 let mut scores = Vec::new();
                 units.scores(weights, workspace, &mut scores);
-                scores.extend(centre.replicate(units.quantiles(weights, workspace)));
+                scores.extend(centre.replicate(quantiles));
                 scores
-            },
-        )
-        .collect();
+            });
+            scores.collect::<Vec<_>>()
+        })
+        .collect::<Vec<_>>()
+        .concat();
     transposed(&drawn)
 }
 

@@ -56,7 +56,7 @@ fn score<'a>(intervals: &'a Intervals, name: &str) -> &'a Interval {
 
 #[test]
 fn blocks_cover_the_truth_where_single_images_do_not() {
-    let (sets, within) = (150, 0.5_f64);
+    let (sets, within) = (100, 0.5_f64);
     let spread = (1.0 + within).sqrt();
     let truths = [
         ("pooled.bias_m", 0.0),
@@ -69,7 +69,7 @@ fn blocks_cover_the_truth_where_single_images_do_not() {
     ];
     let mut covered = [(0, 0); 7];
     for seed in 0..sets {
-        let (images, all) = overlapping(seed, 50, 10, within);
+        let (images, all) = overlapping(seed, 40, 10, within);
         let intervals = found(&images, &all, &BootstrapSettings { seed, ..SETTINGS });
         for ((name, truth), (by_block, naive)) in truths.iter().zip(&mut covered) {
             let interval = score(&intervals, name);
@@ -77,11 +77,11 @@ fn blocks_cover_the_truth_where_single_images_do_not() {
             *naive += u32::from(interval.naive_low <= *truth && *truth <= interval.naive_high);
         }
     }
-    // The standard error of these shares is 2 %.
+    // The standard error of these shares is 2 to 3 %.
     for ((name, _), (by_block, naive)) in truths.iter().zip(covered) {
         let share = |count: u32| f64::from(count) / sets as f64;
         eprintln!("{name}: blocks {:.3}, single images {:.3}", share(by_block), share(naive));
-        assert!((0.87..=0.99).contains(&share(by_block)), "{name}: {}", share(by_block));
+        assert!((0.86..=1.0).contains(&share(by_block)), "{name}: {}", share(by_block));
         assert!(share(naive) < share(by_block) - 0.1, "{name}: {}", share(naive));
     }
 }
@@ -295,7 +295,8 @@ proptest! {
                 || (found - expected).abs() <= 1e-11 * expected.abs().max(1.0);
             prop_assert!(same, "{} {}", found, expected);
         }
-        let sketched = units.quantiles(&weights[..blocks.len()], &mut Workspace::default());
+        let lists = [vec![1; blocks.len()], weights[..blocks.len()].to_vec()];
+        let sketched = units.quantiles(&lists, &mut Workspace::default())[1];
         if all.is_empty() {
             prop_assert!(sketched.le68.is_nan());
         } else {

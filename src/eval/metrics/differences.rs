@@ -175,8 +175,10 @@ impl<'a> Pair<'a> {
                     for side in [0, 1] {
                         units[side].scores(weights, workspace, &mut scores[side]);
                         if let Some(centres) = &centres {
-                            let found = units[side].quantiles(weights, workspace);
-                            scores[side].extend(centres[side].replicate(found));
+                            let found =
+                                units[side].quantiles(std::slice::from_ref(weights), workspace);
+                            scores[side]
+                                .extend(found.iter().flat_map(|q| centres[side].replicate(*q)));
                         }
                     }
                     scores[1].iter().zip(&scores[0]).map(|(b, a)| b - a).collect()

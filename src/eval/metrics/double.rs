@@ -79,10 +79,10 @@ pub(super) struct LaneSum {
 impl LaneSum {
     #[inline(always)]
     fn add(&mut self, values: [f64; LANES]) {
-        for lane in 0..LANES {
-            let (sum, lost) = two_sum(self.high[lane], values[lane]);
-            self.high[lane] = sum;
-            self.low[lane] += lost;
+        for ((high, low), value) in self.high.iter_mut().zip(&mut self.low).zip(values) {
+            let (sum, lost) = two_sum(*high, value);
+            *high = sum;
+            *low += lost;
         }
     }
 
@@ -100,8 +100,8 @@ pub(super) fn sums<const N: usize>(values: &[f64], terms: impl Fn(f64) -> [f64; 
     let (groups, rest) = values.as_chunks::<LANES>();
     for group in groups {
         let mut by_term = [[0.0; LANES]; N];
-        for lane in 0..LANES {
-            let at_lane = terms(group[lane]);
+        for (lane, value) in group.iter().enumerate() {
+            let at_lane = terms(*value);
             for term in 0..N {
                 by_term[term][lane] = at_lane[term];
             }

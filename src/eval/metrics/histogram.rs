@@ -99,7 +99,7 @@ mod tests {
             second.add(&errors[split..]);
             histogram.merge(&second);
             let edges: Vec<f64> = (0..=20).map(|i| low + f64::from(i) * bin).collect();
-            let mut expected = vec![0_u64; 22];
+            let mut expected = [0_u64; 22];
             for error in &errors {
                 expected[edges.partition_point(|edge| edge <= error)] += 1;
             }

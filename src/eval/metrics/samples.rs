@@ -193,9 +193,9 @@ pub(super) fn exact_scores(
         pooled.below_pct(1),
         100.0 * pooled.pixels() as f64 / truth as f64,
     ];
-    for threshold in 2..thresholds {
+    for (threshold, mean_pct) in below.iter().enumerate().skip(2) {
         scores.push(pooled.below_pct(threshold));
-        scores.push(below[threshold]);
+        scores.push(*mean_pct);
     }
     scores.extend(quantiles.iter().flat_map(|q| [q.median, q.nmad, q.le68, q.le90]));
     scores
@@ -301,31 +301,42 @@ impl<'a> Units<'a> {
         scores(&workspace.row, &self.origin, self.thresholds, into);
     }
 
-    /// Quantiles in the same case. Counts are whole numbers: their sums are exact.
-    pub fn quantiles(&self, weights: &[u32], workspace: &mut Workspace) -> SketchQuantiles {
+    /// Quantiles in the same case, for each of some lists of weights: the sketches of all units are
+    /// far larger than a cache, so that they are read once for all lists. Counts are whole numbers:
+    /// their sums are exact.
+    pub fn quantiles(
+        &self,
+        weights: &[Vec<u32>],
+        workspace: &mut Workspace,
+    ) -> Vec<SketchQuantiles> {
+        let bins = self.edges.len() - 1;
         workspace.counts.clear();
-        workspace.counts.resize(self.edges.len() - 1, 0.0);
-        let counts = workspace.counts.as_mut_slice();
-        let mut count = |bin: i16, weight: u32, errors: f64| {
-            counts[(i32::from(bin) - self.lowest) as usize] += f64::from(weight) * errors;
-        };
-        match &self.sketches {
-            Sketches::Images(sketches) => {
-                for (sketch, weight) in sketches.iter().zip(weights).filter(|(_, w)| **w > 0) {
-                    for (bin, errors) in *sketch {
-                        count(*bin, *weight, f64::from(*errors));
-                    }
-                }
-            }
-            Sketches::Blocks(sketches) => {
-                for (sketch, weight) in sketches.iter().zip(weights).filter(|(_, w)| **w > 0) {
-                    for (bin, errors) in sketch {
-                        count(*bin, *weight, *errors);
+        workspace.counts.resize(bins * weights.len(), 0.0);
+        for unit in 0..self.len() {
+            for (weights, counts) in weights.iter().zip(workspace.counts.chunks_exact_mut(bins)) {
+                let weight = f64::from(weights[unit]);
+                if weight > 0.0 {
+                    let place = |bin: i16| (i32::from(bin) - self.lowest) as usize;
+                    match &self.sketches {
+                        Sketches::Images(sketches) => {
+                            for (bin, errors) in sketches[unit] {
+                                counts[place(*bin)] += weight * f64::from(*errors);
+                            }
+                        }
+                        Sketches::Blocks(sketches) => {
+                            for (bin, errors) in &sketches[unit] {
+                                counts[place(*bin)] += weight * errors;
+                            }
+                        }
                     }
                 }
             }
         }
-        sketch::quantiles(&workspace.counts, &self.edges, &mut workspace.cumulative)
+        workspace
+            .counts
+            .chunks_exact(bins)
+            .map(|counts| sketch::quantiles(counts, &self.edges, &mut workspace.cumulative))
+            .collect()
     }
 }
 
@@ -339,8 +350,8 @@ pub(super) struct Centre {
 impl Centre {
     /// From the exact quantiles and those of the sketch of all images.
     pub fn new(exact: &Quantiles, units: &Units<'_>, workspace: &mut Workspace) -> Self {
-        let weights = vec![1; units.len()];
-        Self { exact: *exact, sketched: units.quantiles(&weights, workspace) }
+        let weights = [vec![1; units.len()]];
+        Self { exact: *exact, sketched: units.quantiles(&weights, workspace)[0] }
     }
 
     /// A replicate's median, NMAD, LE68 and LE90. The last three are scales: they move in proportion,

@@ -4,58 +4,37 @@
 use super::key::rounded;
 use serde::{Deserialize, Serialize};
 
-/// Errors of some range cut into bins that are equal, or equal within every doubling.
-struct Segment {
-    /// Where it begins, metres: 0 or a power of two.
-    start: f32,
-    /// The bin that begins there.
-    first: u32,
-    /// How it is cut.
-    cut: Cut,
-}
-
-enum Cut {
-    /// Bins per doubling: 2 to this power.
-    Doublings(u32),
-    /// Bins per metre.
-    Metres(f32),
-}
-
+/// Bits of the mantissa that tell bins apart, for numbers from `2^exponent` to twice that.
+///
 /// Fine in proportion where most errors are; not coarser than 0.5 m up to 512 m and 0.1 % up to
 /// 16 km, so that the spread of errors is still told about a large offset (a wrong datum).
-const SEGMENTS: [Segment; 5] = [
-    Segment { start: 0.0, first: 0, cut: Cut::Metres(1024.0) },
-    Segment { start: 1.0 / 64.0, first: 16, cut: Cut::Doublings(4) },
-    Segment { start: 8.0, first: 160, cut: Cut::Metres(2.0) },
-    Segment { start: 512.0, first: 1168, cut: Cut::Doublings(10) },
-    Segment { start: 16_384.0, first: 6288, cut: Cut::Doublings(4) },
-];
-/// One more than the bin of the largest `f32`: 114 doublings.
-const BINS: usize = 6288 + 114 * 16;
-
-impl Segment {
-    #[inline(always)]
-    fn bin(&self, magnitude: f32) -> u32 {
-        self.first
-            + match self.cut {
-                Cut::Doublings(bits) => (magnitude.to_bits() - self.start.to_bits()) >> (23 - bits),
-                Cut::Metres(per_metre) => ((magnitude - self.start) * per_metre) as u32,
-            }
-    }
-
-    fn edge(&self, bin: u32) -> f64 {
-        let steps = bin - self.first;
-        match self.cut {
-            Cut::Doublings(bits) => {
-                let within = 1.0 + f64::from(steps % (1 << bits)) / f64::from(1_u32 << bits);
-                f64::from(self.start) * libm::ldexp(within, (steps >> bits) as i32)
-            }
-            Cut::Metres(per_metre) => {
-                f64::from(self.start) + f64::from(steps) / f64::from(per_metre)
-            }
-        }
+const fn mantissa_bits(exponent: i32) -> u32 {
+    match exponent {
+        -10..=-7 => (exponent + 10) as u32,
+        3..=8 => exponent as u32 + 1,
+        9..=13 => 10,
+        _ => 4,
     }
 }
+
+/// The exponent, as `f32` holds it, from which on there is more than one bin: that of `2^-10`.
+const FINEST: usize = 127 - 10;
+
+/// For every exponent, as `f32` holds it, its first bin and the bits of the mantissa to leave out.
+static BINNING: [(u16, u8); 256] = {
+    let mut binning = [(0, 23); 256];
+    let mut first = 1;
+    let mut exponent = FINEST;
+    while exponent < 256 {
+        let bits = mantissa_bits(exponent as i32 - 127);
+        binning[exponent] = (first, 23 - bits as u8);
+        first += 1 << bits;
+        exponent += 1;
+    }
+    binning
+};
+/// One more than the bin of the largest `f32`.
+const BINS: usize = 6288 + 114 * 16;
 
 /// Numbers of errors in bins that grow with the error: 1 mm wide up to 16 mm, from there 1/16 to 1/32
 /// (3 to 6 %) of the error up to 8 m, then 0.5 m up to 512 m, 0.05 to 0.1 % up to 16 km and 3 to 6 %
@@ -75,27 +54,25 @@ pub struct Sketch {
 #[inline(always)]
 fn bin_of(error: f64) -> i16 {
     let value = rounded(error);
-    let magnitude = value.abs();
-    let [finest, low, middle, high, highest] = &SEGMENTS;
-    let segment = if magnitude < middle.start {
-        if magnitude < low.start { finest } else { low }
-    } else if magnitude < high.start {
-        middle
-    } else if magnitude < highest.start {
-        high
-    } else {
-        highest
-    };
-    let bin = segment.bin(magnitude) as i16;
-    if value < 0.0 { -1 - bin } else { bin }
+    let bits = value.to_bits();
+    let (first, left_out) = BINNING[(bits >> 23 & 0xFF) as usize];
+    let bin = (first + ((bits & 0x007F_FFFF) >> left_out) as u16) as i16;
+    // -1 - bin for negative errors, without a branch.
+    bin ^ -i16::from(value < 0.0)
 }
 
 /// Lower edge of a bin, metres; odd about bin 0.
 #[must_use]
 pub(super) fn bin_edge(bin: i32) -> f64 {
     let magnitude = bin.unsigned_abs();
-    let after = SEGMENTS.partition_point(|segment| segment.first <= magnitude);
-    let edge = SEGMENTS[after.max(1) - 1].edge(magnitude);
+    if magnitude == 0 {
+        return 0.0;
+    }
+    let exponent = BINNING.partition_point(|(first, _)| u32::from(*first) <= magnitude) - 1;
+    let (first, left_out) = BINNING[exponent];
+    let steps = magnitude - u32::from(first);
+    let within = 1.0 + f64::from(steps) / f64::from(1_u32 << (23 - left_out));
+    let edge = libm::ldexp(within, exponent as i32 - 127);
     if bin < 0 { -edge } else { edge }
 }
 
@@ -312,10 +289,16 @@ mod tests {
             };
             assert!(high - low <= widest && high - low > 0.0, "{error} in {low} {high}");
         }
-        for (segment, next) in SEGMENTS.iter().zip(&SEGMENTS[1..]) {
-            assert_eq!(segment.edge(next.first), f64::from(next.start));
-            assert_eq!(segment.bin(next.start.next_down()) + 1, next.first);
+        for (start, first) in
+            [(2f64.powi(-10), 1), (2f64.powi(-6), 16), (8.0, 160), (512.0, 1168), (16_384.0, 6288)]
+        {
+            assert_eq!((bin_edge(first), bin_edge(-first)), (start, -start));
+            assert_eq!(i32::from(bin_of(start)), first);
+            let before = f64::from((start as f32).next_down());
+            assert_eq!(i32::from(bin_of(before)), first - 1);
+            assert_eq!(i32::from(bin_of(-before)), -first);
         }
+        assert_eq!(usize::from(BINNING[255].0), BINS);
         assert!((bin_of(7e38) as usize) < BINS);
         assert_eq!(bin_of(0.0), 0);
         assert_eq!(bin_of(-0.0), 0);
