@@ -106,9 +106,7 @@ fn planes_come_back_from_every_kind_of_crs() {
         let (west, north) = (middle.x - 200.0 * step, middle.y + 200.0 * step);
         let geotransform = GeoTransform::north_up(west, north, step, step);
         let path = folder.path().join(format!("{epsg}.tif"));
-        write(&path, epsg, geotransform, (400, 400), None, |c, r| {
-            c as f32 * 0.25 - r as f32 * 0.5
-        });
+        write(&path, epsg, geotransform, (400, 400), None, |c, r| c as f32 * 0.25 - r as f32 * 0.5);
         let raster = open(&path);
         assert_eq!(raster.header().crs.as_ref().unwrap().epsg, Some(epsg));
         let found = raster.on_grid(&grid, Resampling::Bilinear, EdgeRule::Renormalise).unwrap();
@@ -134,10 +132,8 @@ fn stated_feet_become_metres_and_classes_stay() {
     write(&path, 3857, grid.geotransform(), (8, 8), feet, |c, _| c as f32);
     let heights = open(&path).on_grid(&grid, Resampling::Nearest, EdgeRule::Strict).unwrap();
     assert!((f64::from(heights[5]) - 5.0 * 1200.0 / 3937.0).abs() < 1e-7);
-    let classes = open(&path)
-        .without_unit()
-        .on_grid(&grid, Resampling::Nearest, EdgeRule::Strict)
-        .unwrap();
+    let classes =
+        open(&path).without_unit().on_grid(&grid, Resampling::Nearest, EdgeRule::Strict).unwrap();
     assert_eq!(classes[5], 5.0);
     // Without a statement: metres, and a warning where coordinates are in feet.
     let step = GeoTransform::north_up(1_270_000.0, 230_000.0, 3.0, 3.0);
