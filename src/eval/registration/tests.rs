@@ -249,8 +249,9 @@ fn what_says_nothing_gives_nothing() {
     none(&Surface::empty(SIZE, SIZE), &truth);
     none(&prediction, &Surface::empty(SIZE, SIZE));
     none(&Surface::new(SIZE, SIZE, vec![f32::INFINITY; SIZE * SIZE]), &truth);
-    // Another place, and nothing but noise.
-    none(&City::new(99, (4.0, 20.0)).prediction(99, VIEW), &truth);
+    // Nothing but errors, wide ones and narrow ones.
+    let nothing = City { houses: Vec::new(), slope: (0.0, 0.0) };
+    none(&nothing.prediction(99, View { noise_m: 5.0, ..VIEW }), &truth);
     let noise = (0..SIZE * SIZE).map(|k| normal(crate::random::key(&[5, k as u64])) as f32);
     none(&Surface::new(SIZE, SIZE, noise.collect()), &truth);
     // Sizes: other, too small, none; pixels without a size.
