@@ -214,7 +214,6 @@ fn without_bare_earth_the_lowest_height_around_serves() {
     assert!((found.lean_east.unwrap().value - 0.1).abs() < 0.03);
 }
 
-/// Houses of one height: lean and shift cannot be told apart by them, only by where walls stand.
 #[test]
 fn bare_terrain_has_no_lean_and_no_houses_do_not_matter() {
     let hills = |dx: f64, zero: f64| {
@@ -302,17 +301,4 @@ fn outliers_do_not_move_the_mean_and_its_error_is_that_of_the_rest() {
     assert!((found.east_m.standard_error - 0.035_355_339_059).abs() < 1e-9);
     assert!((clean.east_m.spread - 1.4826 * 0.05).abs() < 1e-12);
     assert_eq!(found.north_m, Estimate { value: 0.0, standard_error: 0.0, spread: 0.0 });
-}
-
-#[test]
-#[cfg(not(debug_assertions))]
-fn an_image_takes_milliseconds() {
-    let city = City::new(1, (4.0, 24.0));
-    let (truth, bare) = (city.truth(), city.bare());
-    let prediction = city.prediction(1, View { lean: (0.1, 0.05), ..VIEW });
-    let start = std::time::Instant::now();
-    for _ in 0..10 {
-        std::hint::black_box(of_image(&prediction, &truth, Some(&bare), (PIXEL_M, PIXEL_M)));
-    }
-    eprintln!("one image: {:.2} ms", start.elapsed().as_secs_f64() * 100.0);
 }

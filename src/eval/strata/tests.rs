@@ -50,37 +50,6 @@ fn a_house_is_classified_pixel_by_pixel() {
     assert!(without.groups[2].classes.iter().all(|c| *c == NO_CLASS));
 }
 
-#[test]
-#[cfg(not(debug_assertions))]
-fn an_image_is_classified_in_milliseconds() {
-    let set = StratumSet::new(true, None, &StrataSettings::default());
-    let mut draw = crate::random::Draw::new(&[1]);
-    let houses: Vec<(f64, f64, f32)> = (0..40)
-        .map(|_| (draw.range(0.0, 220.0), draw.range(0.0, 220.0), draw.range(3.0, 20.0) as f32))
-        .collect();
-    let values: Vec<f32> = (0..256 * 256)
-        .map(|k| {
-            let (x, y) = ((k % 256) as f64, (k / 256) as f64);
-            let holds = |h: &&(f64, f64, f32)| {
-                (h.0..h.0 + 30.0).contains(&x) && (h.1..h.1 + 25.0).contains(&y)
-            };
-            houses.iter().filter(holds).map(|h| h.2).fold(0.0, f32::max) + (x * 0.01) as f32
-        })
-        .collect();
-    let mut truth = Surface::new(256, 256, values);
-    let ground = Surface::new(256, 256, vec![0.0; 65_536]);
-    for holes in [false, true] {
-        if holes {
-            truth.values[3000..3200].fill(f32::NAN);
-        }
-        let start = std::time::Instant::now();
-        for _ in 0..50 {
-            std::hint::black_box(set.classify(&truth, Some(&ground), None, (0.25, 0.25)));
-        }
-        eprintln!("holes {holes}: {:.2} ms", start.elapsed().as_secs_f64() * 20.0);
-    }
-}
-
 fn json(folder: &Path, text: &str) -> PathBuf {
     let path = folder.join("mask.geojson");
     std::fs::write(&path, text).unwrap();
