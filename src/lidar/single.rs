@@ -145,7 +145,8 @@ fn geographic_warnings(spec: &CrsSpec) -> Result<Vec<String>, CrsError> {
     let name = spec.name.to_ascii_uppercase();
     let is_wgs84 = matches!(spec.epsg, Some(4326 | 4979))
         || (spec.epsg.is_none()
-            && (name.contains("CRS84") || matches!(&name[..], "WGS 84" | "WGS84" | "GCS_WGS_1984")));
+            && (name.contains("CRS84")
+                || matches!(&name[..], "WGS 84" | "WGS84" | "GCS_WGS_1984")));
     if is_wgs84 {
         return Ok(Vec::new());
     }
