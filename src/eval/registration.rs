@@ -11,7 +11,7 @@
 //!
 //! A prediction may be blurred and its roofs too low: both disturb the two sides of a building alike,
 //! and cancel. An image gives an estimate only where the result explains its heights: correlation
-//! over 0.3, a shift within 8 m, and a formal standard error under half a metre. What one image says
+//! over 0.4, a shift within 8 m, and a formal standard error under half a metre. What one image says
 //! is uncertain beyond that formal error in ways that nobody can state, so the errors of the whole
 //! are taken from how the images disagree. Images that overlap disagree too little.
 
@@ -31,7 +31,11 @@ const FINE_M: f64 = 0.5;
 /// Farthest shift that is looked for, metres.
 const FARTHEST_M: f64 = 8.0;
 /// Least correlation of prediction and displaced ground truth.
-const LEAST_CORRELATION: f64 = 0.3;
+const LEAST_CORRELATION: f64 = 0.4;
+/// Iterations on the coarse level, which only has to come near.
+const COARSE_ITERATIONS: u32 = 5;
+/// Iterations at most on the fine level.
+const ITERATIONS: u32 = 10;
 /// Largest formal standard error of a shift, metres.
 const LARGEST_ERROR_M: f64 = 0.5;
 /// Largest formal standard error of a lean, metres per metre.
@@ -86,7 +90,9 @@ pub fn of_image(
     let coarse = level(FINE_M, COARSE_M);
     let mut best: Option<Fit> = None;
     for start in fit::starts(&coarse)? {
-        if let Some(found) = fit::refine(&coarse, start, true)
+        let found = fit::refine(&coarse, start, true, COARSE_ITERATIONS)
+            .or_else(|| fit::refine(&coarse, start, false, COARSE_ITERATIONS));
+        if let Some(found) = found
             && best.as_ref().is_none_or(|best| found.correlation > best.correlation)
         {
             best = Some(found);
@@ -94,7 +100,7 @@ pub fn of_image(
     }
     let start = best?.parameters;
     let fine = level(0.0, FINE_M);
-    let found = fit::refine(&fine, start, true).filter(|found| {
+    let found = fit::refine(&fine, start, true, ITERATIONS).filter(|found| {
         let lean = found.parameters;
         found.errors.lean < LARGEST_LEAN_ERROR
             && libm::hypot(lean.lean_x, lean.lean_y) < FARTHEST_LEAN
@@ -102,7 +108,9 @@ pub fn of_image(
     let has_lean = found.is_some();
     let found = match found {
         Some(found) => found,
-        None => fit::refine(&fine, Parameters { lean_x: 0.0, lean_y: 0.0, ..start }, false)?,
+        None => {
+            fit::refine(&fine, Parameters { lean_x: 0.0, lean_y: 0.0, ..start }, false, ITERATIONS)?
+        }
     };
     let Parameters { x, y, lean_x, lean_y, .. } = found.parameters;
     let believed = found.correlation > LEAST_CORRELATION

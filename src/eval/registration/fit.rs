@@ -47,10 +47,12 @@ const FLAT_M: f64 = 0.3;
 const HUBER: f64 = 1.345;
 /// Smallest robust standard deviation, metres.
 const LEAST_SCALE_M: f64 = 0.1;
-/// Iterations at most.
-const ITERATIONS: u32 = 12;
+/// Pixels that are skipped to one that is looked at while a start is sought: heights are smooth.
+const STRIDE: usize = 2;
+/// Pixels around the best start without lean in which starts with lean are sought.
+const NEAR_PX: i64 = 3;
 /// Settled when the next step is shorter, metres (of shift, and of a roof of 10 m).
-const SETTLED_M: f64 = 0.005;
+const SETTLED_M: f64 = 0.01;
 /// Standard deviation of what is expected of the shortfall before anything is seen. It settles
 /// the matter where nothing stands above the ground.
 const PRIOR_SHORTFALL: f64 = 0.5;
@@ -101,46 +103,50 @@ pub(super) fn starts(level: &Level) -> Option<Vec<Parameters>> {
     let (rx, ry) = (reach(level.pixel_m.0, level.width), reach(level.pixel_m.1, level.height));
     // Heights near zero, so that sums of squares lose nothing.
     let origin = f64::from(*level.prediction.iter().find(|v| !v.is_nan())?);
-    let mut found: Vec<(f64, Parameters)> = Vec::new();
-    for direction in 0..9 {
-        let angle = f64::from(direction) * std::f64::consts::FRAC_PI_4;
-        let size = if direction == 8 { 0.0 } else { START_LEAN };
-        let lean = Parameters {
-            lean_x: size * libm::cos(angle),
-            lean_y: size * libm::sin(angle),
-            ..Parameters::default()
-        };
+    let search = |lean: Parameters, middle: (i64, i64), (rx, ry): (i64, i64)| {
         let rendered = level.render(&lean, false);
         let truth_origin = f64::from(*rendered.heights.iter().find(|v| !v.is_nan())?);
-        let mut best: Option<(f64, Parameters)> = None;
-        for dy in -ry..=ry {
-            for dx in -rx..=rx {
+        let mut best: Option<(f64, (i64, i64))> = None;
+        for dy in middle.1 - ry..=middle.1 + ry {
+            for dx in middle.0 - rx..=middle.0 + rx {
                 let moments = overlap(level, &rendered, (dx, dy), (origin, truth_origin));
                 let (p, t, _) = moments.spread();
                 let textured = p > FLAT_M * FLAT_M && t > FLAT_M * FLAT_M;
-                if moments.n < LEAST_PIXELS as f64 || !textured {
+                let enough = moments.n * (STRIDE * STRIDE) as f64 >= LEAST_PIXELS as f64;
+                if !enough || !textured {
                     continue;
                 }
                 let correlation = moments.correlation();
                 if best.is_none_or(|(best, _)| correlation > best) {
-                    let parameters = Parameters {
-                        x: dx as f64 * level.pixel_m.0,
-                        y: dy as f64 * level.pixel_m.1,
-                        ..lean
-                    };
-                    best = Some((correlation, parameters));
+                    best = Some((correlation, (dx, dy)));
                 }
             }
         }
-        found.extend(best);
+        let (correlation, (dx, dy)) = best?;
+        let (x, y) = (dx as f64 * level.pixel_m.0, dy as f64 * level.pixel_m.1);
+        Some((correlation, (dx, dy), Parameters { x, y, ..lean }))
+    };
+    let (_, middle, upright) = search(Parameters::default(), (0, 0), (rx, ry))?;
+    let mut leaning: Option<(f64, Parameters)> = None;
+    for direction in 0..8 {
+        let angle = f64::from(direction) * std::f64::consts::FRAC_PI_4;
+        let lean = Parameters {
+            lean_x: START_LEAN * libm::cos(angle),
+            lean_y: START_LEAN * libm::sin(angle),
+            ..Parameters::default()
+        };
+        // A lean moves the best shift by no more than the tallest houses lean.
+        let near = (rx.min(NEAR_PX), ry.min(NEAR_PX));
+        if let Some((correlation, _, parameters)) = search(lean, middle, near)
+            && leaning.is_none_or(|(best, _)| correlation > best)
+        {
+            leaning = Some((correlation, parameters));
+        }
     }
-    // The best of the leaning ones, and the one that does not lean (the last).
-    let upright = found.pop()?.1;
-    let leaning = found.into_iter().reduce(|a, b| if b.0 > a.0 { b } else { a });
     Some(std::iter::once(upright).chain(leaning.map(|(_, p)| p)).collect())
 }
 
-/// Prediction and rendered truth shifted by whole pixels.
+/// Prediction and rendered truth shifted by whole pixels, at every second pixel.
 fn overlap(
     level: &Level,
     rendered: &Rendered,
@@ -150,10 +156,10 @@ fn overlap(
     let (width, height) = (level.width as i64, level.height as i64);
     let mut moments = Moments::default();
     let columns = dx.max(0)..(width + dx).min(width);
-    for y in dy.max(0)..(height + dy).min(height) {
+    for y in (dy.max(0)..(height + dy).min(height)).step_by(STRIDE) {
         let own = &level.prediction[(y * width) as usize..((y + 1) * width) as usize];
         let line = (y - dy) * width;
-        for x in columns.clone() {
+        for x in columns.clone().step_by(STRIDE) {
             let truth = rendered.heights[(line + x - dx) as usize];
             let prediction = own[x as usize];
             if !truth.is_nan() && !prediction.is_nan() {
@@ -165,10 +171,15 @@ fn overlap(
 }
 
 /// Gauss-Newton steps from a start; `None` where the heights do not determine the parameters.
-pub(super) fn refine(level: &Level, start: Parameters, with_lean: bool) -> Option<Fit> {
+pub(super) fn refine(
+    level: &Level,
+    start: Parameters,
+    with_lean: bool,
+    iterations: u32,
+) -> Option<Fit> {
     let mut parameters = start;
     let mut last: Option<Step> = None;
-    for iteration in 0..ITERATIONS {
+    for iteration in 0..iterations {
         let rendered = level.render(&parameters, with_lean);
         let step = step(level, &rendered, &parameters, iteration == 0)?;
         let [x, y, zero, shortfall, blur, lean_x, lean_y] = step.solution;
@@ -312,7 +323,8 @@ fn solve(
     let mut size = [1.0; UNKNOWNS];
     for i in 0..n {
         size[i] = normal[i][i].sqrt();
-        if !(size[i] > 0.0) || !size[i].is_finite() {
+        let usable = size[i] > 0.0 && size[i].is_finite();
+        if !usable {
             return None;
         }
     }
@@ -325,7 +337,9 @@ fn solve(
             }
             if i == j {
                 // The square of what is left of a column once the others have explained it.
-                if !(sum > 1e-6) {
+                // NaN is no more than that either.
+                let independent = sum > 1e-6;
+                if !independent {
                     return None;
                 }
                 factor[i][i] = sum.sqrt();

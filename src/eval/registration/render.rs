@@ -166,7 +166,8 @@ impl Model {
                 ((lean_x * h).round() as isize, (lean_y * h).round() as isize)
             })
             .collect();
-        let half = |h: f32| (f64::from(h) / fall * 2.0).round() as usize;
+        // Never negative, so that adding a half rounds.
+        let half = |h: f32| (f64::from(h) * (2.0 / fall) + 0.5) as usize;
         let (width, height) = (self.width as isize, self.height as isize);
         let mut above = vec![-1.0_f32; self.above.len()];
         let mut ground = self.ground.clone();
@@ -177,6 +178,15 @@ impl Model {
                 if top.is_nan() {
                     continue;
                 }
+                let last = half(top);
+                if last == 0 {
+                    // Ground, which no lean moves: most of an image.
+                    if top > above[k] {
+                        above[k] = top;
+                        ground[k] = self.ground[k];
+                    }
+                    continue;
+                }
                 let neighbours = [
                     (x > 0).then(|| self.above[k - 1]),
                     (x + 1 < width).then(|| self.above[k + 1]),
@@ -185,7 +195,7 @@ impl Model {
                 ];
                 // NaN is never the minimum.
                 let foot = neighbours.into_iter().flatten().fold(top, f32::min);
-                let (first, last) = (half(foot), half(top));
+                let first = half(foot);
                 for step in (first..=last).rev() {
                     let (dx, dy) = offsets[step.min(2 * steps)];
                     let (to_x, to_y) = (x + dx, y + dy);

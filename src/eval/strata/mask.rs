@@ -87,7 +87,7 @@ pub struct Mask {
 #[derive(Debug)]
 enum Source {
     /// `classes[value]` is the number of the class.
-    Raster { raster: SingleRaster, classes: Vec<u16> },
+    Raster { raster: Box<SingleRaster>, classes: Vec<u16> },
     /// The class of pixels outside of every polygon.
     Polygons { polygons: PolygonSet, outside: u16 },
 }
@@ -127,7 +127,7 @@ impl Mask {
             labels.push(named(&value.to_string(), options));
         }
         let warnings = raster.warnings().to_vec();
-        let raster = raster.without_unit();
+        let raster = Box::new(raster.without_unit());
         let source = Source::Raster { raster, classes };
         Ok(Self { path: path.to_owned(), labels, source, warnings })
     }

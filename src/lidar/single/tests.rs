@@ -38,7 +38,7 @@ fn open(path: &Path) -> SingleRaster {
 }
 
 fn noise(col: u32, row: u32) -> f32 {
-    if (col * 7 + row * 13) % 11 == 0 {
+    if (col * 7 + row * 13).is_multiple_of(11) {
         return f32::NAN;
     }
     crate::random::unit(crate::random::key(&[u64::from(col), u64::from(row)])) as f32 * 300.0
