@@ -137,7 +137,8 @@ fn write_npz(path: &Path, key: &str, size: usize, values: &[f32]) {
 }
 
 fn name(k: usize) -> String {
-    format!("satellite_47.{:04}_-122.{:04}", 6000 + 7 * (k / 6), 3300 + 9 * (k % 6))
+    // Some 400 m apart: more than one image to a block of 500 m, and enough blocks.
+    format!("satellite_47.{:04}_-122.{:04}", 6000 + 36 * (k / 6), 3300 + 54 * (k % 6))
 }
 
 /// Ground truths of `count` images and predictions with noise, some of them displaced.

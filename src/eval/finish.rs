@@ -2,14 +2,15 @@
 
 use super::metrics::{
     BootstrapSettings, ComparedSet, ErrorSums, ImageSample, Quantiles, differences, intervals,
+    mean_scores,
 };
 use super::protocol::{OffsetMethod, Protocol};
 use super::registration;
 use super::run::Prepared;
 use super::score::is_unaligned;
 use super::summary::{
-    Evaluation, EvaluationSet, ImageCounts, ImageScores, MeanScores, PooledScores, PublishedScores,
-    StratumGroup, StratumRow, ThresholdShare,
+    Evaluation, EvaluationSet, ImageCounts, PooledScores, PublishedScores, StratumGroup,
+    StratumRow, ThresholdShare,
 };
 use super::tally::{Fine, Tally};
 use crate::batch::Status;
@@ -30,7 +31,7 @@ pub fn evaluation(
     let thresholds = &prepared.settings.thresholds;
     let totals = tally.totals(&prepared.set, thresholds.len());
     let quantiles = Quantiles::pooled(&tally.coarse, &fine.all);
-    let per_image_mean = means(tally);
+    let (per_image_mean, per_image_pct) = mean_scores(&tally.samples, thresholds.len());
     let sums = &totals.all.sums;
     let pooled = PooledScores {
         mae_m: sums.mae(),
@@ -45,7 +46,7 @@ pub fn evaluation(
         max_m: sums.max_abs(),
         lt_2_5_m_pct: sums.below_pct(0),
         lt_7_5_m_pct: sums.below_pct(1),
-        thresholds: shares(sums, &tally.samples, thresholds),
+        thresholds: shares(sums, &per_image_pct, thresholds),
         pixels: sums.pixels(),
         truth_pixels: totals.all.truth_pixels,
         completeness_pct: pct(sums.pixels(), totals.all.truth_pixels),
@@ -130,40 +131,13 @@ fn counts(tally: &Tally) -> ImageCounts {
     }
 }
 
-/// Means over the images, in the order of their names; each is summed exactly.
-fn means(tally: &Tally) -> MeanScores {
-    let mean = |value: &dyn Fn(&ImageScores) -> f64| {
-        let values: Vec<f64> =
-            tally.rows.iter().filter_map(|row| row.scores.as_ref()).map(value).collect();
-        mean_of(&values)
-    };
-    MeanScores {
-        mae_m: mean(&|s| s.mae_m),
-        rmse_m: mean(&|s| s.rmse_m),
-        lt_2_5_m_pct: mean(&|s| s.lt_2_5_m_pct),
-        lt_7_5_m_pct: mean(&|s| s.lt_7_5_m_pct),
-        bias_m: mean(&|s| s.bias_m),
-        completeness_pct: mean(&|s| s.completeness_pct),
-    }
-}
-
-/// Mean by the sums that the errors go through, which lose nothing to cancellation.
-fn mean_of(values: &[f64]) -> f64 {
-    let mut sums = ErrorSums::new(0);
-    sums.add(values, &[]);
-    sums.bias()
-}
-
-fn shares(all: &ErrorSums, samples: &[ImageSample], thresholds: &[f64]) -> Vec<ThresholdShare> {
-    let further = thresholds.iter().enumerate().skip(2);
+fn shares(all: &ErrorSums, per_image_pct: &[f64], thresholds: &[f64]) -> Vec<ThresholdShare> {
+    let further = thresholds.iter().zip(per_image_pct).enumerate().skip(2);
     further
-        .map(|(k, &threshold_m)| {
-            let images: Vec<f64> = samples.iter().map(|s| s.sums.below_pct(k)).collect();
-            ThresholdShare {
-                threshold_m,
-                pooled_pct: all.below_pct(k),
-                per_image_mean_pct: mean_of(&images),
-            }
+        .map(|(k, (&threshold_m, &per_image_mean_pct))| ThresholdShare {
+            threshold_m,
+            pooled_pct: all.below_pct(k),
+            per_image_mean_pct,
         })
         .collect()
 }

@@ -449,18 +449,20 @@ impl Prepared {
         row: &ImageScore,
     ) -> Result<Option<Errors>, EvalError> {
         let Some(scores) = &row.scores else { return Ok(None) };
-        let (loaded, _) = self.load_again(set, index, scores)?;
-        let (_, _, errors) =
-            errors_of(&loaded.prediction, &loaded.layers, &alignment_of(scores), &self.set);
+        let (loaded, aligned) = self.load_again(set, index, scores)?;
+        let Loaded { prediction, layers, .. } = &loaded;
+        let alignment = alignment_of(scores);
+        let (_, _, errors) = errors_of(prediction, layers, &alignment, aligned, &self.set);
         Ok(Some(errors))
     }
 
+    /// An image that was scored before: its files again, and its truth moved as it was.
     fn load_again(
         &self,
         set: usize,
         index: usize,
         scores: &ImageScores,
-    ) -> Result<(Loaded, Truth), EvalError> {
+    ) -> Result<(Loaded, Surface), EvalError> {
         let pair = &self.pairs[index];
         let changed = |what: String| EvalError::Part {
             path: pair.truth.clone().unwrap_or_default(),
@@ -477,7 +479,7 @@ impl Prepared {
                 aligned.valid()
             )));
         }
-        Ok((loaded, truth))
+        Ok((loaded, aligned))
     }
 
     /// Prediction and aligned truth of an image that was scored, for pictures.
@@ -497,8 +499,8 @@ impl Prepared {
         else {
             return Ok(None);
         };
-        let (loaded, _) = self.load_again(set, index, scores)?;
-        let compared = compare(&loaded.prediction, &loaded.layers.truth, &alignment_of(scores));
+        let (loaded, aligned) = self.load_again(set, index, scores)?;
+        let compared = compare(&loaded.prediction, aligned, &alignment_of(scores));
         Ok(Some((loaded.prediction, compared.truth)))
     }
 }

@@ -67,10 +67,9 @@ pub struct Scored {
     pub compared: Compared,
 }
 
-/// Subtracts an aligned truth from a prediction.
+/// Subtracts an aligned truth (without the vertical offset) from a prediction.
 #[must_use]
-pub fn compare(prediction: &Surface, truth: &Surface, alignment: &Alignment) -> Compared {
-    let mut aligned = super::align::apply(alignment, truth);
+pub fn compare(prediction: &Surface, mut aligned: Surface, alignment: &Alignment) -> Compared {
     let offset = alignment.vertical_offset_m;
     let errors = prediction
         .values
@@ -107,15 +106,17 @@ fn strata_of(
     Some(set.classify(&compared.truth, ground.as_ref(), classes.as_deref(), pixel_m))
 }
 
-/// The errors that an image has under a known alignment, with their classes.
+/// The errors that an image has under a known alignment, with their classes; `aligned` is its
+/// truth, moved.
 #[must_use]
 pub fn errors_of(
     prediction: &Surface,
     layers: &Layers,
     alignment: &Alignment,
+    aligned: Surface,
     set: &StratumSet,
 ) -> (Compared, Option<Strata>, Errors) {
-    let compared = compare(prediction, &layers.truth, alignment);
+    let compared = compare(prediction, aligned, alignment);
     let strata = strata_of(set, layers, alignment, &compared);
     let finite: Vec<usize> =
         (0..compared.errors.len()).filter(|&k| !compared.errors[k].is_nan()).collect();
@@ -170,9 +171,10 @@ pub fn score(
     set: &StratumSet,
     thresholds: &[f64],
 ) -> Result<Scored, String> {
-    let alignment =
-        aligner.align(prediction, &layers.truth, settings).map_err(|error| error.to_string())?;
-    let (compared, strata, errors) = errors_of(prediction, layers, &alignment, set);
+    let (alignment, aligned) = aligner
+        .align_and_apply(prediction, &layers.truth, settings)
+        .map_err(|error| error.to_string())?;
+    let (compared, strata, errors) = errors_of(prediction, layers, &alignment, aligned, set);
     if errors.values.is_empty() {
         return Err("no pixel has both a prediction and a ground truth".into());
     }

@@ -126,8 +126,12 @@ pub fn per_image_table(set: &EvaluationSet) -> Result<Table, TableError> {
             "Shift applied to the truth, pixels of the prediction, + south",
             |s| s.shift_px.y,
         ),
-        number("shift_x_m", "The same on the ground, metres, + east", |s| s.shift_m.map_or(f64::NAN, |shift| shift.x)),
-        number("shift_y_m", "The same on the ground, metres, + south", |s| s.shift_m.map_or(f64::NAN, |shift| shift.y)),
+        number("shift_x_m", "The same on the ground, metres, + east", |s| {
+            s.shift_m.map_or(f64::NAN, |shift| shift.x)
+        }),
+        number("shift_y_m", "The same on the ground, metres, + south", |s| {
+            s.shift_m.map_or(f64::NAN, |shift| shift.y)
+        }),
         number(
             "rotation_deg",
             "Rotation applied to the truth, degrees, sign of scipy.ndimage.rotate",
