@@ -80,6 +80,11 @@ fi
 need optional "gdalwarp" "gdal-bin" have gdalwarp
 need optional "cct and gie" "proj-bin" have cct
 need optional "GeographicLib's ConicProj" "geographiclib-tools" have ConicProj
+# Debian's Python, which `python3` need not be; scripts/test.sh takes whichever has them.
+has_scipy() { python3 -c 'import scipy' || /usr/bin/python3 -c 'import scipy'; }
+need optional "Python with numpy and scipy" "python3 python3-numpy python3-scipy" has_scipy
+# Reports are opened in a real browser.
+need optional "Chromium" "chromium" have chromium
 if [ "$peers" = 1 ]; then
     need optional "Python with rasterio" "python3 python3-rasterio" python3 -c "import rasterio"
 fi

@@ -10,6 +10,12 @@ rm -f "$logs"/*.log
 export CARGO_TERM_COLOR=never
 results=() failed=0
 
+# Tests that compare with numpy take the Python that has it.
+if [ -z "${SAT3D_TEST_PYTHON:-}" ] && ! python3 -c 'import scipy' 2>/dev/null &&
+    /usr/bin/python3 -c 'import scipy' 2>/dev/null; then
+    export SAT3D_TEST_PYTHON=/usr/bin/python3
+fi
+
 stage() { # name, command...
     local name=$1 log seconds
     log="$logs/${name//[^a-z0-9]/-}.log"

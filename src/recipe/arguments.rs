@@ -199,10 +199,16 @@ fn find<'a>(raw: &RawStep, root: &'a Command) -> Result<&'a Command, Error> {
         command = command.find_subcommand(word).ok_or_else(unknown)?;
     }
     let first = raw.command.first().map_or("", String::as_str);
-    if NO_STEPS.contains(&first) || command.has_subcommands() {
+    if NO_STEPS.contains(&first) || !works_alone(command) {
         return Err(unknown());
     }
     Ok(command)
+}
+
+/// Whether a command does something without a subcommand: it has none, or takes arguments of its own
+/// in their place (`eval` beside `eval merge`).
+fn works_alone(command: &Command) -> bool {
+    !command.has_subcommands() || command.is_args_conflicts_with_subcommands_set()
 }
 
 /// Every command that a step can run, in full.
@@ -212,7 +218,8 @@ fn commands(command: &Command, prefix: &str) -> Vec<String> {
         .filter(|sub| !sub.is_hide_set() && !NO_STEPS.contains(&sub.get_name()))
         .flat_map(|sub| {
             let name = format!("{prefix}{}", sub.get_name());
-            if sub.has_subcommands() { commands(sub, &format!("{name} ")) } else { vec![name] }
+            let below = commands(sub, &format!("{name} "));
+            works_alone(sub).then_some(name).into_iter().chain(below)
         })
         .collect()
 }

@@ -276,6 +276,8 @@ impl Page {
     }
 
     fn differences(&mut self, set: &EvaluationSet) {
+        // Many pairs would fill the screen; then the scores that the paper's table has must do.
+        let all = set.differences.len() == 1;
         for d in &set.differences {
             let (a, b) = (clean(&d.a), clean(&d.b));
             let title = format!("{b} - {a}, {}", d.protocol.name());
@@ -290,6 +292,9 @@ impl Page {
                 "",
             ])];
             for s in &d.scores {
+                if !all && !PUBLISHED.contains(&s.score.as_str()) {
+                    continue;
+                }
                 let named = score(&s.score);
                 let digits = named.digits();
                 rows.push(vec![
@@ -308,6 +313,9 @@ impl Page {
                 "{title}, on the {} that both have; * more than noise at 5\u{a0}% (Holm).",
                 plural(d.images, "image", "images"),
             ));
+        }
+        if set.differences.len() > 1 {
+            self.sentence("The differences of all other scores are in the JSON and in the report.");
         }
     }
 
