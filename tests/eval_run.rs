@@ -18,7 +18,10 @@ fn golden_folders() -> Vec<PathBuf> {
         if folder.is_dir() {
             folders.push(folder);
         } else {
-            eprintln!("SKIPPED goldens/{name}: not at {} (set SAT3D_TEST_GOLDENS)", folder.display());
+            eprintln!(
+                "SKIPPED goldens/{name}: not at {} (set SAT3D_TEST_GOLDENS)",
+                folder.display()
+            );
         }
     }
     folders
@@ -427,4 +430,99 @@ fn the_srtm_pair_is_found_where_it_was_put() {
     assert!(image["shift_m"]["x"].as_f64().unwrap() < -200.0, "3 px of 3 arc seconds at 40 N");
     let plain = json(&["--pred", text(&pred), "--gt", text(&gt), "--protocol", "plain"]);
     assert_eq!(plain["pooled"]["pixels"], 997 * 995);
+}
+
+/// The grid of image `k` of [`benchmark`].
+fn grid(k: usize) -> sat3d::grid::ImageGrid {
+    let center = sat3d::vigor::SatelliteName::parse(&name(k)).unwrap().center();
+    sat3d::grid::ImageGrid::new(center, 20, 96, 96).unwrap()
+}
+
+#[test]
+fn rasters_score_as_the_arrays_that_they_hold() {
+    use sat3d::raster::geotiff::{CogSpec, encode_cog};
+    let folder = benchmark(3);
+    let (pred, gt) = (folder.path().join("pred"), folder.path().join("gt"));
+    let (pred_tif, gt_tif) = (folder.path().join("pred_tif"), folder.path().join("gt_tif"));
+    std::fs::create_dir(&pred_tif).unwrap();
+    std::fs::create_dir(&gt_tif).unwrap();
+    for k in 0..3 {
+        let spec = CogSpec {
+            width: 96,
+            height: 96,
+            geotransform: grid(k).geotransform(),
+            epsg: 3857,
+            ..CogSpec::default()
+        };
+        let truth = common::npz(&gt.join(format!("{}_dsm.npz", name(k))), "dsm");
+        std::fs::write(gt_tif.join(format!("{}_dsm.tif", name(k))), encode_cog(&truth, &spec))
+            .unwrap();
+        let heights = common::npz(&pred.join(format!("{}.npz", name(k))), "arr_0");
+        let metres: Vec<f32> = heights.iter().map(|v| v * 64.48).collect();
+        std::fs::write(pred_tif.join(format!("{}.tif", name(k))), encode_cog(&metres, &spec))
+            .unwrap();
+    }
+    let arrays = json(&["--pred", text(&pred), "--gt", text(&gt), "--name", "x"]);
+    let rasters =
+        json(&["--pred", text(&pred_tif), "--gt", text(&gt_tif), "--size", "96", "--name", "x"]);
+    assert_eq!(arrays["per_image"], rasters["per_image"]);
+    assert_eq!(arrays["strata"], rasters["strata"]);
+    // Rasters of other places have no pixel there, and that is said.
+    for k in 0..3 {
+        let file = |k: usize| pred_tif.join(format!("{}.tif", name(k)));
+        if k > 0 {
+            std::fs::copy(file(0), file(k)).unwrap();
+        }
+    }
+    let arguments = ["eval", "--pred", text(&pred_tif), "--gt", text(&gt), "--json", "-q"];
+    let found: Value = serde_json::from_str(&stdout(&run(sat3d().args(arguments), 1))).unwrap();
+    assert_eq!(found["images"]["evaluated"], 1);
+    assert_eq!(found["images"]["failed"], 2);
+    assert!(found["reasons"].as_object().unwrap().contains_key("no pixel has a height"));
+}
+
+#[test]
+fn a_mask_divides_the_pixels_where_it_lies() {
+    let folder = benchmark(2);
+    let (pred, gt) = (folder.path().join("pred"), folder.path().join("gt"));
+    // The western quarter of the first image is a park; the second image has none.
+    let corner = |x: f64, y: f64| {
+        let at = grid(0).lonlat(sat3d::grid::PixelPoint { x, y });
+        serde_json::json!([at.lon_deg, at.lat_deg])
+    };
+    let ring = [corner(0.0, 0.0), corner(0.0, 96.0), corner(24.0, 96.0), corner(24.0, 0.0)];
+    let ring: Vec<&Value> = ring.iter().chain(ring.first()).collect();
+    let mask = serde_json::json!({
+        "type": "FeatureCollection",
+        "features": [{
+            "type": "Feature",
+            "properties": {"kind": "park"},
+            "geometry": {"type": "Polygon", "coordinates": [ring]}
+        }]
+    });
+    let file = folder.path().join("mask.geojson");
+    std::fs::write(&file, mask.to_string()).unwrap();
+    let found = json(&[
+        "--pred",
+        text(&pred),
+        "--gt",
+        text(&gt),
+        "--protocol",
+        "plain",
+        "--mask",
+        text(&file),
+        "--mask-class",
+        "kind",
+    ]);
+    let groups = found["strata"].as_array().unwrap();
+    let classes = groups.iter().find(|group| group["name"] == "class").unwrap();
+    let park = classes["rows"].as_array().unwrap().iter().find(|r| r["label"] == "park").unwrap();
+    assert_eq!(park["pixels"], 96 * 24, "{classes}");
+    let output = run(
+        sat3d()
+            .args(["eval", "--pred", text(&pred), "--gt", text(&gt), "--mask", text(&file)])
+            .args(["--mask-class", "use"]),
+        2,
+    );
+    assert!(stderr(&output).contains("use"), "{}", stderr(&output));
 }

@@ -20,7 +20,7 @@ fi
 cargo build --release --locked --quiet
 sat3d=target/release/sat3d
 
-# Pairs of noise on real scenes under new names, all of them the fixtures' own pictures.
+# The fixtures' pairs again and again under new names (links, so that they take no room).
 make_pairs() { # folder, count
     mkdir -p "$1/pred" "$1/gt"
     "$PYTHON" - "$1" "$2" <<'PYTHON'

@@ -5,6 +5,10 @@ use super::number::{count, fixed, p_value, plural, range, signed};
 use super::score::{alignment, both_ways, interval, published, robust, score};
 use crate::eval::summary::{Estimate, Evaluation, EvaluationSet, StratumGroup};
 
+/// Scores of the paper's table, by their paths.
+const PUBLISHED: [&str; 4] =
+    ["per_image_mean.mae_m", "per_image_mean.rmse_m", "pooled.lt_2_5_m_pct", "pooled.lt_7_5_m_pct"];
+
 /// Narrowest table, characters.
 const NARROWEST: usize = 60;
 /// Most evaluations whose strata stand side by side.

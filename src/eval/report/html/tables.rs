@@ -244,7 +244,25 @@ pub(super) fn differences(differences: &[Difference]) -> String {
             d.protocol.name(),
             plural(d.images, "image", "images")
         );
-        out += &table("numbers", &caption, &head, &body);
+        let whole = table("numbers", &caption, &head, &body);
+        if differences.len() == 1 {
+            out += &whole;
+            continue;
+        }
+        // Many pairs are told in a line each; the table opens.
+        let published = ["per_image_mean.mae_m", "per_image_mean.rmse_m"];
+        let told = d.scores.iter().filter(|s| published.contains(&s.score.as_str())).map(|s| {
+            let verdict = if s.significant { "more than noise" } else { "within noise" };
+            let named = score(&s.score);
+            let difference = signed(s.difference, named.digits());
+            format!("{} {difference} {} ({verdict})", escape(&named.name), named.unit)
+        });
+        let told: Vec<String> = told.collect();
+        out += &format!(
+            "<details><summary><b>{b} \u{2212} {a}</b> ({}): {}</summary>{whole}</details>\n",
+            d.protocol.name(),
+            told.join(", ")
+        );
     }
     if !out.is_empty() {
         out += "<p class=note>Errors: less is better; shares: more is better. \u{201c}More than noise\u{201d}: \
