@@ -1,6 +1,8 @@
 //! `sat3d eval` as a user runs it: agreement with the reference implementation, the same bytes for
 //! any division of the work, and inputs that are wrong in every way we could think of.
 
+#![allow(clippy::unwrap_used, reason = "a test may fail")]
+
 mod common;
 
 use common::{run, sat3d, stderr, stdout};

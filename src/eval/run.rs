@@ -327,7 +327,7 @@ impl Prepared {
                     let folder = self.errors_folder(folder, set, protocol);
                     error_raster::write(&folder, &pair.name, &scored.compared, &truth.place)?;
                 }
-                items.push(self.item(pair, truth, scored, estimate.clone(), index));
+                items.push(self.item(pair, truth, scored, estimate, index));
             }
         }
         Ok(items)

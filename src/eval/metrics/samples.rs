@@ -7,7 +7,7 @@ use crate::eval::summary::MeanScores;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// One image for [`super::intervals`] and [`super::differences`].
+/// One image for [`super::intervals()`] and [`super::differences()`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ImageSample {
     /// Its name, which no other image has.
