@@ -358,6 +358,9 @@ fn wrong_usage_names_the_value_and_what_to_do() {
     fails(&["--block", "0"], &["--block 0", "positive"]);
     fails(&["--metres-per-unit", "NaN"], &["--metres-per-unit"]);
     fails(&["--mask", "missing.geojson"], &["missing.geojson"]);
+    fails(&["--report", text(&gt)], &["is a folder"]);
+    let file = gt.join(format!("{}_dsm.npz", name(0)));
+    fails(&["--csv", text(&file.join("images.csv"))], &["cannot make the folder"]);
     fails(&["--shard", "3/2", "--parts", "p"], &["3/2"]);
     fails(&["--name", "a", "--name", "b"], &["--name"]);
     let empty = tempfile::tempdir().unwrap();

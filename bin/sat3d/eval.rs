@@ -234,6 +234,7 @@ enum ResizeArg {
 pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     match &args.command {
         Some(Command::Merge(args)) => {
+            args.common.make_folders()?;
             let options = args.common.apply(EvalOptions::new(Vec::new(), PathBuf::new()))?;
             let merged = eval::merge(&args.parts, options, &Interrupt::on_signals());
             let Some((prepared, set)) = unless_interrupted(merged)? else {
@@ -286,6 +287,7 @@ fn unless_interrupted<T>(result: Result<T, eval::EvalError>) -> anyhow::Result<O
 
 fn score(args: &ScoreArgs) -> anyhow::Result<ExitCode> {
     let prepared = eval::prepare(args.options()?)?;
+    args.common.make_folders()?;
     let interrupt = Interrupt::on_signals();
     if let Some(folder) = &args.parts {
         let Some((path, images)) = unless_interrupted(prepared.run_part(folder, &interrupt))?
@@ -346,6 +348,21 @@ impl ScoreArgs {
 }
 
 impl CommonArgs {
+    /// Makes the folders of all outputs, so that a typing mistake is found before the work and not
+    /// after it.
+    fn make_folders(&self) -> anyhow::Result<()> {
+        let json = self.json.as_deref().filter(|path| path.as_os_str() != "-");
+        let files = [json, self.csv.as_deref(), self.parquet.as_deref(), self.report.as_deref()];
+        for file in files.into_iter().flatten() {
+            anyhow::ensure!(!file.is_dir(), "{} is a folder; name a file", file.display());
+            if let Some(folder) = file.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+                std::fs::create_dir_all(folder)
+                    .with_context(|| format!("cannot make the folder {}", folder.display()))?;
+            }
+        }
+        Ok(())
+    }
+
     fn apply(&self, mut options: EvalOptions) -> anyhow::Result<EvalOptions> {
         options.mask = self.mask.clone().map(|path| {
             let settings = MaskOptions {
