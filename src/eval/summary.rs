@@ -376,7 +376,7 @@ pub struct ScoreDifference {
     /// Two-sided bootstrap p-value.
     pub p_value: f64,
     /// Whether the difference is more than noise at 5 %, after Holm's correction over all
-    /// differences of this run.
+    /// pairs of sets, score by score.
     pub significant: bool,
 }
 

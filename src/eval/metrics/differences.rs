@@ -10,6 +10,7 @@ use super::student::{expanded_level, unexpanded_level};
 use crate::eval::protocol::Protocol;
 use crate::eval::summary::{Difference, ScoreDifference};
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 
 /// Names the sequences of random numbers of this module.
 const PURPOSE: u64 = 0x5041_4952;
@@ -40,7 +41,8 @@ pub struct ComparedSet<'a> {
 /// The p-value is twice the smaller of the shares `(1 + n) / (replicates + 1)` of replicates at or
 /// below, and at or above, no difference, corrected for small numbers of blocks as the ends of the
 /// interval are (see `metrics::bootstrap`): with two blocks nothing is significant. `significant`
-/// is Holm's correction at 5 % over all differences returned. There are at least
+/// is Holm's correction at 5 % over all pairs of sets, score by score: scores are not independent
+/// questions (one model is better than another in most of them or in none), pairs are. There are at least
 /// `settings.replicates` replicates, and up to 20,000 where smaller p-values must be told apart for
 /// that many differences. Ends and p-value are NaN where the images lie in one block.
 ///
@@ -67,7 +69,7 @@ pub fn differences(
             }
         }
     }
-    let tests: usize = pairs.iter().map(|pair| pair.names(thresholds.len()).len()).sum();
+    let tests = pairs.len();
     let mut found: Vec<Difference> =
         pairs.iter().map(|pair| pair.compare(thresholds.len(), tests, settings)).collect();
     holm(&mut found);
@@ -215,18 +217,21 @@ fn p_value(replicates: &[f64], blocks: usize) -> f64 {
 /// Holm (1979): the smallest p-value must be under a share of the level, the next under a larger one,
 /// until one is not. Differences without a p-value are no tests.
 fn holm(differences: &mut [Difference]) {
-    let mut tests: Vec<&mut ScoreDifference> = differences
-        .iter_mut()
-        .flat_map(|difference| &mut difference.scores)
-        .filter(|score| !score.p_value.is_nan())
-        .collect();
-    tests.sort_by(|a, b| a.p_value.total_cmp(&b.p_value));
-    let count = tests.len();
-    for (rank, score) in tests.into_iter().enumerate() {
-        if score.p_value > SIGNIFICANCE / (count - rank) as f64 {
-            break;
+    let mut families: BTreeMap<String, Vec<&mut ScoreDifference>> = BTreeMap::new();
+    for score in differences.iter_mut().flat_map(|difference| &mut difference.scores) {
+        if !score.p_value.is_nan() {
+            families.entry(score.score.clone()).or_default().push(score);
         }
-        score.significant = true;
+    }
+    for mut tests in families.into_values() {
+        tests.sort_by(|a, b| a.p_value.total_cmp(&b.p_value));
+        let count = tests.len();
+        for (rank, score) in tests.into_iter().enumerate() {
+            if score.p_value > SIGNIFICANCE / (count - rank) as f64 {
+                break;
+            }
+            score.significant = true;
+        }
     }
 }
 

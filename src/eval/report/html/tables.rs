@@ -266,7 +266,7 @@ pub(super) fn differences(differences: &[Difference]) -> String {
     }
     if !out.is_empty() {
         out += "<p class=note>Errors: less is better; shares: more is better. \u{201c}More than noise\u{201d}: \
-                the difference is beyond chance at 5 %, after Holm's correction over all differences of this run. \
+                the difference is beyond chance at 5 %, after Holm's correction over all pairs, score by score. \
                 The whiskers of a table share one scale for metres and one for per cents.</p>\n";
     }
     out
