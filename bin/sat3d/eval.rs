@@ -194,7 +194,7 @@ struct CommonArgs {
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
     /// Memory for errors kept between the two passes, MiB
-    #[arg(long, default_value_t = 512, value_name = "MIB", value_parser = clap::value_parser!(u64).range(0..=1_048_576))]
+    #[arg(long, default_value_t = 1024, value_name = "MIB", value_parser = clap::value_parser!(u64).range(0..=1_048_576))]
     memory: u64,
 }
 

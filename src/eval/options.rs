@@ -103,7 +103,7 @@ impl EvalOptions {
             errors: None,
             shard: Shard::WHOLE,
             threads: std::thread::available_parallelism().map_or(1, usize::from),
-            memory: 512 << 20,
+            memory: 1024 << 20,
             quiet: false,
         }
     }

@@ -255,12 +255,12 @@ fn sums_by_class(
     strata: Option<&Strata>,
     thresholds: &[f64],
 ) -> Vec<Vec<StratumSums>> {
-    let mut bucket = Vec::new();
     set.groups()
         .iter()
         .enumerate()
         .map(|(group, definition)| {
-            let classes = &errors.classes[group];
+            let mut buckets = vec![Vec::new(); definition.labels.len()];
+            bucket(errors, group, &mut buckets);
             let mut truth_pixels = vec![0_u64; definition.labels.len()];
             let whole = strata.and_then(|s| s.groups.iter().find(|classes| classes.group == group));
             if let Some(whole) = whole {
@@ -272,20 +272,24 @@ fn sums_by_class(
                     }
                 }
             }
-            truth_pixels
-                .into_iter()
-                .enumerate()
-                .map(|(class, truth_pixels)| {
-                    bucket.clear();
-                    let pixels = classes.iter().zip(&errors.values);
-                    bucket.extend(
-                        pixels.filter(|(c, _)| usize::from(**c) == class).map(|(_, error)| *error),
-                    );
+            let classes = truth_pixels.into_iter().zip(&buckets);
+            classes
+                .map(|(truth_pixels, bucket)| {
                     let mut sums = ErrorSums::new(thresholds.len());
-                    sums.add(&bucket, thresholds);
+                    sums.add(bucket, thresholds);
                     StratumSums { sums, truth_pixels }
                 })
                 .collect()
         })
         .collect()
+}
+
+/// Sorts the errors of an image into the classes of a group.
+pub(super) fn bucket(errors: &Errors, group: usize, buckets: &mut [Vec<f64>]) {
+    buckets.iter_mut().for_each(Vec::clear);
+    for (&class, &error) in errors.classes[group].iter().zip(&errors.values) {
+        if let Some(bucket) = buckets.get_mut(usize::from(class)) {
+            bucket.push(error);
+        }
+    }
 }

@@ -7,7 +7,7 @@
 
 use super::metrics::{CoarseCounts, ErrorSums, FineCounts, Histogram, ImageSample};
 use super::registration::ImageRegistration;
-use super::score::{Errors, Scored, StratumSums};
+use super::score::{Errors, Scored, StratumSums, bucket};
 use super::strata::StratumSet;
 use super::summary::{ImageScore, PositionMap};
 use rayon::prelude::*;
@@ -228,16 +228,6 @@ impl Tally {
             totals.merge(&chunk.all, &chunk.strata);
         }
         totals
-    }
-}
-
-/// Sorts the errors of an image into the classes of a group.
-fn bucket(errors: &Errors, group: usize, buckets: &mut [Vec<f64>]) {
-    buckets.iter_mut().for_each(Vec::clear);
-    for (&class, &error) in errors.classes[group].iter().zip(&errors.values) {
-        if let Some(bucket) = buckets.get_mut(usize::from(class)) {
-            bucket.push(error);
-        }
     }
 }
 

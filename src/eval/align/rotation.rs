@@ -54,29 +54,9 @@ impl RotationSearch {
         self.prepare(width, height, max_deg);
         corners(moving, width, height, &mut self.corners);
         self.line.resize(width, 0);
-        let mut best: Option<BestRotation> = None;
-        let mut best_correlation = -1.0;
-        for angle in &self.angles {
-            let mut sums = Sums::default();
-            for (row, &(begin, end)) in angle.inside.iter().enumerate() {
-                let (begin, end) = (begin as usize, end as usize);
-                let line = &mut self.line[begin..end];
-                turn_line(&angle.rotation, &self.corners, width + 1, (row, begin), line, |at| {
-                    angle.rotation.shade(moving, width, height, at)
-                });
-                sums.add(&reference[row * width + begin..row * width + end], line);
-            }
-            if sums.pixels < LEAST_PIXELS {
-                continue;
-            }
-            // A constant overlap has no correlation: NaN, which is never above the best.
-            let correlation = sums.correlation();
-            if correlation > best_correlation {
-                best_correlation = correlation;
-                best = Some(BestRotation { angle_deg: angle.angle_deg, correlation });
-            }
-        }
-        best
+        // With the widest vectors that the processor has. The arithmetic is the same on all: nothing is
+        // fused, and the sums are whole numbers.
+        pulp::Arch::new().dispatch(TryAngles { tables: self, reference, moving, width, height })
     }
 
     fn prepare(&mut self, width: usize, height: usize, max_deg: f64) {
@@ -100,6 +80,47 @@ impl RotationSearch {
             })
             .collect();
         self.key = Some(key);
+    }
+}
+
+/// The loop over all angles, for [`pulp::Arch::dispatch`].
+struct TryAngles<'a> {
+    tables: &'a mut RotationSearch,
+    reference: &'a [u8],
+    moving: &'a [u8],
+    width: usize,
+    height: usize,
+}
+
+impl pulp::NullaryFnOnce for TryAngles<'_> {
+    type Output = Option<BestRotation>;
+
+    #[inline(always)]
+    fn call(self) -> Option<BestRotation> {
+        let Self { tables, reference, moving, width, height } = self;
+        let mut best: Option<BestRotation> = None;
+        let mut best_correlation = -1.0;
+        for angle in &tables.angles {
+            let mut sums = Sums::default();
+            for (row, &(begin, end)) in angle.inside.iter().enumerate() {
+                let (begin, end) = (begin as usize, end as usize);
+                let line = &mut tables.line[begin..end];
+                turn_line(&angle.rotation, &tables.corners, width + 1, (row, begin), line, |at| {
+                    angle.rotation.shade(moving, width, height, at)
+                });
+                sums.add(&reference[row * width + begin..row * width + end], line);
+            }
+            if sums.pixels < LEAST_PIXELS {
+                continue;
+            }
+            // A constant overlap has no correlation: NaN, which is never above the best.
+            let correlation = sums.correlation();
+            if correlation > best_correlation {
+                best_correlation = correlation;
+                best = Some(BestRotation { angle_deg: angle.angle_deg, correlation });
+            }
+        }
+        best
     }
 }
 
@@ -129,6 +150,7 @@ fn corners(shades: &[u8], width: usize, height: usize, corners: &mut Vec<u32>) {
 /// In 32-bit floats with a known bound of the error; where the bound does not settle how a shade is
 /// rounded, `exact` computes it. So the shades are those of the 64-bit rule at a fraction of its
 /// cost.
+#[inline(always)]
 fn turn_line(
     rotation: &Rotation,
     corners: &[u32],
@@ -201,6 +223,7 @@ struct Sums {
 }
 
 impl Sums {
+    #[inline(always)]
     fn add(&mut self, a: &[u8], b: &[u8]) {
         // Short enough for sums of 32 bits.
         for (a, b) in a.chunks(1024).zip(b.chunks(1024)) {

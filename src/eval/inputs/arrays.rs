@@ -13,10 +13,10 @@ pub(super) fn truth(path: &Path) -> Result<Truth, InputError> {
     let mut arrays = npz::read(path)?;
     let npy = is_npy(path);
     let surface = match take(&mut arrays, if npy { "arr_0" } else { "dsm" }) {
-        Some(array) => surface(path, "dsm", &array)?,
+        Some(array) => surface(path, "dsm", array)?,
         None => return Err(missing(path, "dsm", &arrays)),
     };
-    let ground = take(&mut arrays, "dtm").map(|array| self::surface(path, "dtm", &array));
+    let ground = take(&mut arrays, "dtm").map(|array| self::surface(path, "dtm", array));
     let ground = ground.transpose()?;
     if let Some(ground) = &ground
         && ground.size() != surface.size()
@@ -38,12 +38,12 @@ pub(super) fn prediction(path: &Path, settings: &InputSettings) -> Result<Predic
     let mut notes = Vec::new();
     let npy = is_npy(path);
     if !npy && let Some(array) = take(&mut arrays, "dsm") {
-        return Ok(Prediction { surface: surface(path, "dsm", &array)?, notes });
+        return Ok(Prediction { surface: surface(path, "dsm", array)?, notes });
     }
     let Some(array) = take(&mut arrays, "arr_0") else {
         return Err(missing(path, "arr_0` or `dsm", &arrays));
     };
-    let mut surface = surface(path, "arr_0", &array)?;
+    let mut surface = surface(path, "arr_0", array)?;
     let in_cube = surface.values.iter().all(|v| !v.is_finite() || CUBE_LIMITS.contains(v));
     let scale = match (settings.metres_per_unit, npy) {
         (Some(scale), _) => scale,
@@ -107,14 +107,14 @@ fn missing(path: &Path, name: &str, arrays: &[(String, NpyOwned)]) -> InputError
 }
 
 /// An array of two axes (others of length one are dropped) as a surface.
-fn surface(path: &Path, key: &str, array: &NpyOwned) -> Result<Surface, InputError> {
+fn surface(path: &Path, key: &str, array: NpyOwned) -> Result<Surface, InputError> {
     let axes: Vec<usize> = match array.shape.len() {
         2 => array.shape.clone(),
         _ => array.shape.iter().copied().filter(|&n| n != 1).collect(),
     };
     match axes[..] {
         [height, width] if width > 0 && height > 0 => {
-            Ok(Surface::new(width, height, array.to_f32()))
+            Ok(Surface::new(width, height, array.into_f32()))
         }
         _ => Err(InputError::content(
             path,

@@ -133,6 +133,15 @@ impl NpyOwned {
         self.values.to_f32()
     }
 
+    /// As [`Self::to_f32`], without a copy where the values are `f32` already.
+    #[must_use]
+    pub fn into_f32(self) -> Vec<f32> {
+        match self.values {
+            NpyValues::F32(values) => values,
+            other => other.to_f32(),
+        }
+    }
+
     /// The values as `f64`; 64-bit integers beyond 2^53 are rounded to the nearest.
     #[must_use]
     pub fn to_f64(&self) -> Vec<f64> {
