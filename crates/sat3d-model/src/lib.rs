@@ -1,0 +1,10 @@
+//! The Sat3DGen network in Rust: a satellite image becomes a radiance field; DSM, density grid, mesh
+//! and street views are rendered from it.
+//!
+//! The crate knows nothing of maps, and of files only checkpoints and scenes.
+
+pub mod field;
+pub mod render;
+mod tensor;
+
+pub use tensor::Grid;
