@@ -3,8 +3,20 @@
 //!
 //! The crate knows nothing of maps, and of files only checkpoints and scenes.
 
+pub mod config;
+mod error;
 pub mod field;
+mod model;
+pub mod network;
+pub mod preprocess;
 pub mod render;
 mod tensor;
+pub mod weights;
 
+pub use config::Config;
+pub use error::{Mismatch, ModelError};
+pub use model::Model;
+pub use network::{Device, Network};
+pub use preprocess::Image8;
 pub use tensor::Grid;
+pub use weights::Checkpoint;

@@ -1,0 +1,152 @@
+//! A safetensors file in memory by mapping, read tensor by tensor.
+#![expect(unsafe_code, reason = "mapping a file, and giving its pages back, are unsafe calls")]
+
+use crate::error::{Mismatch, ModelError};
+use half::{bf16, f16};
+use memmap2::{Advice, Mmap, UncheckedAdvice};
+use rayon::prelude::*;
+use safetensors::tensor::{Dtype, Metadata, SafeTensors, TensorInfo};
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+/// A mapped safetensors file whose header has been checked against its length.
+#[derive(Debug)]
+pub struct MappedFile {
+    path: PathBuf,
+    map: Mmap,
+    metadata: Metadata,
+    /// Where the tensors' bytes begin.
+    start: usize,
+}
+
+impl MappedFile {
+    /// Maps a file and reads its header. As with every mapped file, the program is stopped by the
+    /// system if somebody truncates the file while it is in use.
+    ///
+    /// # Errors
+    /// [`ModelError::Io`]; [`ModelError::Damaged`] where the file is cut off, or is not safetensors.
+    pub fn open(path: &Path) -> Result<Self, ModelError> {
+        let file = File::open(path).map_err(ModelError::io(path))?;
+        // SAFETY: the map is only read. Another process changing the file would change values
+        // under us, never types or lengths: every byte pattern is a valid u8.
+        let map = unsafe { Mmap::map(&file) }.map_err(ModelError::io(path))?;
+        let damaged = |why: String| ModelError::Damaged { path: path.into(), why };
+        let (header, metadata) = SafeTensors::read_metadata(&map)
+            .map_err(|error| damaged(explained(&error.to_string(), map.len())))?;
+        let start = header + 8;
+        let needed = start + metadata.data_len();
+        if needed != map.len() {
+            let kind = if needed > map.len() { "cut off" } else { "too long" };
+            let length = map.len();
+            return Err(damaged(format!("{kind}: {length} bytes, its header says {needed}")));
+        }
+        // Tensors are read whole and in any order; a failure to hint changes nothing.
+        let _ = map.advise(Advice::Random);
+        Ok(Self { path: path.into(), map, metadata, start })
+    }
+
+    /// The file.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// All of its bytes.
+    #[must_use]
+    pub fn bytes(&self) -> &[u8] {
+        &self.map
+    }
+
+    /// Keys of the tensors, in file order.
+    pub fn keys(&self) -> impl Iterator<Item = &str> {
+        self.metadata.offset_keys().into_iter().filter_map(|key| {
+            self.metadata.tensors_ref().get_key_value(key.as_str()).map(|(key, _)| *key)
+        })
+    }
+
+    /// Shape of a tensor.
+    #[must_use]
+    pub fn shape(&self, key: &str) -> Option<&[usize]> {
+        self.metadata.info(key).map(|info| info.shape.as_slice())
+    }
+
+    /// Name of a tensor's element type, as `F32`.
+    #[must_use]
+    pub fn element(&self, key: &str) -> Option<String> {
+        self.metadata.info(key).map(|info| info.dtype.to_string())
+    }
+
+    /// The element type of a tensor where it cannot be read as f32.
+    pub(super) fn unreadable_type(&self, key: &str) -> Option<String> {
+        let info = self.metadata.info(key)?;
+        let readable = matches!(info.dtype, Dtype::F32 | Dtype::F16 | Dtype::BF16);
+        (!readable).then(|| info.dtype.to_string())
+    }
+
+    /// A tensor's bytes in the file.
+    #[must_use]
+    pub fn raw(&self, key: &str) -> Option<&[u8]> {
+        let info = self.metadata.info(key)?;
+        Some(&self.map[self.start..][info.data_offsets.0..info.data_offsets.1])
+    }
+
+    /// Converts one tensor to f32 and gives its pages back to the system.
+    ///
+    /// # Errors
+    /// [`ModelError::Tensors`] where it is missing or of another shape or type.
+    pub fn read(&self, key: &str, shape: &[usize]) -> Result<Vec<f32>, ModelError> {
+        let mut mismatch = Mismatch::default();
+        match self.metadata.info(key) {
+            None => mismatch.missing.push(key.into()),
+            Some(info) if info.shape != shape => {
+                mismatch.misshaped.push((key.into(), shape.to_vec(), info.shape.clone()));
+            }
+            Some(info) => match self.convert(info) {
+                Some(values) => return Ok(values),
+                None => mismatch.mistyped.push((key.into(), info.dtype.to_string())),
+            },
+        }
+        let path = self.path.clone();
+        Err(ModelError::Tensors { path, mismatch: Box::new(mismatch) })
+    }
+
+    fn convert(&self, info: &TensorInfo) -> Option<Vec<f32>> {
+        let (begin, end) = info.data_offsets;
+        let bytes = &self.map[self.start + begin..self.start + end];
+        let values = match info.dtype {
+            Dtype::F32 => widen(bytes, f32::from_le_bytes),
+            Dtype::F16 => widen(bytes, |half| f16::from_le_bytes(half).to_f32()),
+            Dtype::BF16 => widen(bytes, |half| bf16::from_le_bytes(half).to_f32()),
+            _ => return None,
+        };
+        self.release(bytes);
+        Some(values)
+    }
+
+    /// Lets the system drop the pages of a part of [`MappedFile::bytes`]; they come back from the
+    /// file when they are read again.
+    pub(super) fn release(&self, part: &[u8]) {
+        let offset = part.as_ptr().addr() - self.map.as_ptr().addr();
+        let length = part.len();
+        // SAFETY: the map is file-backed and never written, so dropped pages are read again with
+        // the same content.
+        let _ = unsafe {
+            self.map.unchecked_advise_range(UncheckedAdvice::DontNeed, offset, length)
+        };
+    }
+}
+
+/// Converts in parallel: each value stands alone.
+fn widen<const N: usize>(bytes: &[u8], convert: impl Fn([u8; N]) -> f32 + Sync) -> Vec<f32> {
+    let (items, _) = bytes.as_chunks::<N>();
+    items.par_iter().with_min_len(1 << 16).map(|&item| convert(item)).collect()
+}
+
+/// The library's messages name its enum variants; say the two common ones in words.
+fn explained(message: &str, length: usize) -> String {
+    let lower = message.to_lowercase();
+    if length < 8 || lower.contains("header too small") || lower.contains("headertoosmall") {
+        return format!("{length} bytes are less than its header's length");
+    }
+    format!("{message} ({length} bytes)")
+}
