@@ -15,6 +15,8 @@ use reader::Reader;
 
 /// Class names of a checkpoint: the released one, and the alias that older trainings wrote.
 const CLASS_NAMES: [&str; 2] = ["Sat3DGen", "VAE_finetune"];
+/// The `config.json` of the release.
+pub const RELEASED: &str = include_str!("config/released.json");
 /// Length of the illumination histogram: 90 bins of 3 channels (section 9.3).
 pub const HISTOGRAM: usize = 270;
 /// Patches along each side of the image; fixed by the reference.
@@ -140,6 +142,15 @@ pub struct Config {
 }
 
 impl Config {
+    /// The released network.
+    ///
+    /// # Panics
+    /// Never: the text is part of the program, and a test reads it.
+    #[must_use]
+    pub fn released() -> Self {
+        Self::from_json(RELEASED).expect("the released config is served")
+    }
+
     /// Reads `config.json` of a checkpoint folder (the folder itself; see
     /// [`crate::weights::locate`] for training checkpoints).
     ///

@@ -21,8 +21,8 @@ pub(super) struct Probe<'a> {
 
 impl<'a> Probe<'a> {
     /// Sees nothing and costs nothing.
-    pub(super) fn none() -> Probe<'static> {
-        Probe { sink: None, prefix: String::new() }
+    pub(super) fn none() -> Self {
+        Self { sink: None, prefix: String::new() }
     }
 
     /// Hands every stage to `sink`.

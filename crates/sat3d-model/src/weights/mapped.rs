@@ -15,6 +15,8 @@ pub struct MappedFile {
     path: PathBuf,
     map: Mmap,
     metadata: Metadata,
+    /// In file order.
+    keys: Vec<String>,
     /// Where the tensors' bytes begin.
     start: usize,
 }
@@ -42,7 +44,8 @@ impl MappedFile {
         }
         // Tensors are read whole and in any order; a failure to hint changes nothing.
         let _ = map.advise(Advice::Random);
-        Ok(Self { path: path.into(), map, metadata, start })
+        let keys = metadata.offset_keys();
+        Ok(Self { path: path.into(), map, metadata, keys, start })
     }
 
     /// The file.
@@ -59,9 +62,7 @@ impl MappedFile {
 
     /// Keys of the tensors, in file order.
     pub fn keys(&self) -> impl Iterator<Item = &str> {
-        self.metadata.offset_keys().into_iter().filter_map(|key| {
-            self.metadata.tensors_ref().get_key_value(key.as_str()).map(|(key, _)| *key)
-        })
+        self.keys.iter().map(String::as_str)
     }
 
     /// Shape of a tensor.
