@@ -362,10 +362,9 @@ fn backbone(opt: &Reader<'_>) -> Result<BackboneConfig, ModelError> {
         *value = sizes.count(key)?.unwrap_or(*value);
     }
     config.registers = sizes.natural("num_register_tokens")?.unwrap_or(config.registers);
-    for (key, value) in [
-        ("layer_norm_eps", &mut config.layer_norm_epsilon),
-        ("rope_theta", &mut config.rope_theta),
-    ] {
+    for (key, value) in
+        [("layer_norm_eps", &mut config.layer_norm_epsilon), ("rope_theta", &mut config.rope_theta)]
+    {
         *value = sizes.number(key)?.unwrap_or(*value);
         if *value <= 0.0 {
             return Err(sizes.invalid(key, "more than 0"));
@@ -428,11 +427,7 @@ fn activation(network: &Reader<'_>) -> Result<DensityActivation, ModelError> {
 }
 
 /// GroupNorm needs whole groups at every level, and maps must stay of a size that fits in memory.
-fn decoder_fits(
-    decoder: &DecoderConfig,
-    reader: &Reader<'_>,
-    key: &str,
-) -> Result<(), ModelError> {
+fn decoder_fits(decoder: &DecoderConfig, reader: &Reader<'_>, key: &str) -> Result<(), ModelError> {
     let levels = decoder.multipliers.len();
     if !(1..=8).contains(&levels) {
         return Err(reader.invalid(key, "1 to 8 levels"));

@@ -162,7 +162,8 @@ impl Mismatch {
             }
         }
         if !self.mistyped.is_empty() {
-            let _ = write!(text, "\n  {} of another type than F32, F16, BF16:", self.mistyped.len());
+            let _ =
+                write!(text, "\n  {} of another type than F32, F16, BF16:", self.mistyped.len());
             for (key, found) in &self.mistyped {
                 let _ = write!(text, "\n    {key}: {found}");
             }

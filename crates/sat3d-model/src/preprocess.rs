@@ -81,9 +81,8 @@ fn taps(source: usize, target: usize) -> Vec<Taps> {
             // A negative value truncates to 0 either way.
             let first = (center - support + 0.5).max(0.0) as usize;
             let last = ((center + support + 0.5) as usize).min(source);
-            let raw: Vec<f64> = (first..last)
-                .map(|pixel| cubic((pixel as f64 - center + 0.5) * inverse))
-                .collect();
+            let raw: Vec<f64> =
+                (first..last).map(|pixel| cubic((pixel as f64 - center + 0.5) * inverse)).collect();
             // Summed in order, as Pillow does: the rounding below hangs on the last bit.
             let mut sum = 0.0;
             for value in &raw {

@@ -16,8 +16,7 @@ pub(super) struct Reader<'a> {
 impl<'a> Reader<'a> {
     /// The outermost object; anything else reads as an empty one.
     pub(super) fn root(value: &'a Value, origin: &'a str) -> Self {
-        static EMPTY: std::sync::LazyLock<Map<String, Value>> =
-            std::sync::LazyLock::new(Map::new);
+        static EMPTY: std::sync::LazyLock<Map<String, Value>> = std::sync::LazyLock::new(Map::new);
         Self { object: value.as_object().unwrap_or(&EMPTY), path: String::new(), origin }
     }
 
@@ -57,11 +56,7 @@ impl<'a> Reader<'a> {
     }
 
     pub(super) fn invalid(&self, key: &str, why: &str) -> ModelError {
-        ModelError::InvalidConfig {
-            key: self.path(key),
-            value: self.shown(key),
-            why: why.into(),
-        }
+        ModelError::InvalidConfig { key: self.path(key), value: self.shown(key), why: why.into() }
     }
 
     pub(super) fn object(&self, key: &str) -> Result<Option<Self>, ModelError> {

@@ -144,11 +144,9 @@ fn wrong_types_and_missing_keys_are_named() {
 
 #[test]
 fn other_programs_checkpoints_are_refused() {
-    for (value, shown) in [
-        (json!("AutoencoderKL"), "\"AutoencoderKL\""),
-        (json!(3), "3"),
-        (Value::Null, "missing"),
-    ] {
+    for (value, shown) in
+        [(json!("AutoencoderKL"), "\"AutoencoderKL\""), (json!(3), "3"), (Value::Null, "missing")]
+    {
         let error = with(&["_class_name"], value).unwrap_err();
         assert!(matches!(error, ModelError::ClassName { .. }), "{error}");
         assert!(error.to_string().contains(shown), "{error}");

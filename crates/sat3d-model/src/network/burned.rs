@@ -91,8 +91,7 @@ impl BurnNetwork {
     pub fn sky_observed(&self, style: &[f32], observer: Observer<'_>) -> Result<Grid, ModelError> {
         let channels = self.config.style;
         check_length("style code", style, channels)?;
-        let seed: Vec<f32> =
-            style.iter().flat_map(|&value| [value; SKY_SEED * SKY_SEED]).collect();
+        let seed: Vec<f32> = style.iter().flat_map(|&value| [value; SKY_SEED * SKY_SEED]).collect();
         let seed = self.upload(&Grid::new(channels, SKY_SEED, SKY_SEED, seed));
         let map = self.sky_decoder()?.forward(seed, &mut probe(observer));
         let below = self.config.sky_width() - self.config.sky_side();
@@ -137,8 +136,7 @@ impl BurnNetwork {
     }
 
     fn sky_mapping(&self) -> Result<&SkyMapping, ModelError> {
-        self.sky_mapping
-            .get(|| SkyMapping::load(&self.root().child("sky_mapping"), &self.config))
+        self.sky_mapping.get(|| SkyMapping::load(&self.root().child("sky_mapping"), &self.config))
     }
 
     fn sky_decoder(&self) -> Result<&Decoder, ModelError> {

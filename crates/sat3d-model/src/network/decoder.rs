@@ -75,8 +75,7 @@ struct Middle {
 
 impl Middle {
     fn load(loader: &Loader<'_>, width: usize, attention: bool) -> Result<Self, ModelError> {
-        let block =
-            |name| ResidualBlock::load(&loader.child(name), width, width, Border::Zeros);
+        let block = |name| ResidualBlock::load(&loader.child(name), width, width, Border::Zeros);
         Ok(Self {
             block_1: block("block_1")?,
             attn_1: attention

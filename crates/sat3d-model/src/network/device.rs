@@ -65,9 +65,7 @@ impl Device {
             #[cfg(not(feature = "cuda"))]
             Self::Cuda(_) => Err(self.left_out("cuda")),
             #[cfg(feature = "wgpu")]
-            Self::Wgpu => {
-                Ok(burn::tensor::Device::wgpu(burn::tensor::DeviceKind::DefaultDevice))
-            }
+            Self::Wgpu => Ok(burn::tensor::Device::wgpu(burn::tensor::DeviceKind::DefaultDevice)),
             #[cfg(not(feature = "wgpu"))]
             Self::Wgpu => Err(self.left_out("wgpu")),
         }

@@ -26,11 +26,7 @@ impl Encoder {
             layer: (0..config.layers)
                 .map(|index| Block::load(&loader.child("layer").child(index), config))
                 .collect::<Result<_, _>>()?,
-            norm: LayerNorm::load(
-                &loader.child("norm"),
-                config.hidden,
-                config.layer_norm_epsilon,
-            )?,
+            norm: LayerNorm::load(&loader.child("norm"), config.hidden, config.layer_norm_epsilon)?,
             rotary: RotaryTable::new(config),
         })
     }
@@ -70,8 +66,7 @@ impl Embeddings {
         let patches = loader.child("patch_embeddings");
         Ok(Self {
             cls_token: loader.parameter("cls_token", [1, 1, hidden])?,
-            register_tokens: loader
-                .parameter("register_tokens", [1, config.registers, hidden])?,
+            register_tokens: loader.parameter("register_tokens", [1, config.registers, hidden])?,
             patch_embeddings: Conv::load(&patches, 3, hidden, config.patch)?.patches(),
         })
     }
@@ -103,8 +98,7 @@ struct Block {
 impl Block {
     fn load(loader: &Loader<'_>, config: &BackboneConfig) -> Result<Self, ModelError> {
         let hidden = config.hidden;
-        let norm =
-            |name| LayerNorm::load(&loader.child(name), hidden, config.layer_norm_epsilon);
+        let norm = |name| LayerNorm::load(&loader.child(name), hidden, config.layer_norm_epsilon);
         Ok(Self {
             norm1: norm("norm1")?,
             attention: Attention::load(&loader.child("attention"), config)?,
@@ -265,9 +259,7 @@ impl RotaryTable {
             for column in 0..PATCHES {
                 for _ in 0..2 {
                     for at in [row, column] {
-                        angles.extend(
-                            (0..quarter).map(|index| TAU * place(at) * frequency(index)),
-                        );
+                        angles.extend((0..quarter).map(|index| TAU * place(at) * frequency(index)));
                     }
                 }
             }
@@ -286,9 +278,8 @@ impl RotaryTable {
 
     fn on(&self, device: &Device) -> (Tensor<3>, Tensor<3>) {
         let shape = [1, self.tokens, self.head];
-        let tensor = |values: &Vec<f32>| {
-            Tensor::from_data(TensorData::new(values.clone(), shape), device)
-        };
+        let tensor =
+            |values: &Vec<f32>| Tensor::from_data(TensorData::new(values.clone(), shape), device);
         (tensor(&self.cos), tensor(&self.sin))
     }
 }

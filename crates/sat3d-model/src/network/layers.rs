@@ -170,11 +170,7 @@ impl GroupNorm {
 ///
 /// Means are taken over rows first and over their means then: every row has the same length, so
 /// that is exact, and in f32 it errs by the square root of what one long sum would.
-pub(super) fn standardise(
-    input: Tensor<4>,
-    groups: usize,
-    epsilon: f64,
-) -> (Tensor<4>, Tensor<4>) {
+pub(super) fn standardise(input: Tensor<4>, groups: usize, epsilon: f64) -> (Tensor<4>, Tensor<4>) {
     let [_, channels, height, width] = input.dims();
     let rows = channels / groups * height;
     let mean = |values: Tensor<4>| {

@@ -19,10 +19,6 @@ impl<'a> Loader<'a> {
         Self { source, device, path: String::new() }
     }
 
-    pub(super) fn device(&self) -> &'a Device {
-        self.device
-    }
-
     /// The module `name` below this one.
     pub(super) fn child(&self, name: impl Display) -> Self {
         let path = self.key(name);

@@ -51,8 +51,7 @@ impl<'a> Probe<'a> {
             shape.remove(0);
         }
         // A failed read shows as an empty stage, which no comparison passes.
-        let values =
-            tensor.clone().try_into_data().ok().and_then(|data| data.try_into_vec().ok());
+        let values = tensor.clone().try_into_data().ok().and_then(|data| data.try_into_vec().ok());
         let name = format!("{}{name}", self.prefix);
         sink(Stage { name, shape, values: values.unwrap_or_default() });
     }

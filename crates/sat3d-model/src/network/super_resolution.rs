@@ -1,4 +1,8 @@
 //! Rendered features to an image of twice the size (MODEL_SPEC section 9.2).
+#![expect(
+    non_snake_case,
+    reason = "a parameter's path is made of the names of the fields: `toRGB`"
+)]
 
 use super::layers::{Conv, bilinear, standardise};
 use super::loader::Loader;
@@ -65,7 +69,6 @@ impl Features {
 
 /// Enlarges, two convolutions, to colours.
 #[derive(Module, Debug)]
-#[expect(non_snake_case, reason = "parameters are found by the names of the fields")]
 struct Residual {
     conv0: ConvBlock,
     conv1: ConvBlock,

@@ -98,10 +98,7 @@ impl List {
         self.need = Need::Optional;
         self.push(format!("{root}.embeddings.mask_token"), &[1, 1, hidden]);
         self.need = Need::Required;
-        self.push(
-            format!("{root}.embeddings.register_tokens"),
-            &[1, backbone.registers, hidden],
-        );
+        self.push(format!("{root}.embeddings.register_tokens"), &[1, backbone.registers, hidden]);
         self.conv(&format!("{root}.embeddings.patch_embeddings"), 3, hidden, patch);
         for layer in 0..backbone.layers {
             let path = format!("{root}.layer.{layer}");

@@ -3,7 +3,7 @@
 use super::{Checkpoint, Need, expected};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
-use std::collections::{BTreeSet};
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 

@@ -5,7 +5,7 @@ use crate::error::{Mismatch, ModelError};
 use half::{bf16, f16};
 use memmap2::{Advice, Mmap, UncheckedAdvice};
 use rayon::prelude::*;
-use safetensors::tensor::{Dtype, Metadata, SafeTensors, TensorInfo};
+use safetensors::tensor::{Dtype, Metadata, SafeTensorError, SafeTensors, TensorInfo};
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
@@ -32,16 +32,10 @@ impl MappedFile {
         // SAFETY: the map is only read. Another process changing the file would change values
         // under us, never types or lengths: every byte pattern is a valid u8.
         let map = unsafe { Mmap::map(&file) }.map_err(ModelError::io(path))?;
-        let damaged = |why: String| ModelError::Damaged { path: path.into(), why };
-        let (header, metadata) = SafeTensors::read_metadata(&map)
-            .map_err(|error| damaged(explained(&error.to_string(), map.len())))?;
-        let start = header + 8;
-        let needed = start + metadata.data_len();
-        if needed != map.len() {
-            let kind = if needed > map.len() { "cut off" } else { "too long" };
-            let length = map.len();
-            return Err(damaged(format!("{kind}: {length} bytes, its header says {needed}")));
-        }
+        let (header, metadata) = SafeTensors::read_metadata(&map).map_err(|error| {
+            ModelError::Damaged { path: path.into(), why: explained(&error, &map) }
+        })?;
+        let start = header + LENGTH;
         // Tensors are read whole and in any order; a failure to hint changes nothing.
         let _ = map.advise(Advice::Random);
         let keys = metadata.offset_keys();
@@ -131,9 +125,8 @@ impl MappedFile {
         let length = part.len();
         // SAFETY: the map is file-backed and never written, so dropped pages are read again with
         // the same content.
-        let _ = unsafe {
-            self.map.unchecked_advise_range(UncheckedAdvice::DontNeed, offset, length)
-        };
+        let _ =
+            unsafe { self.map.unchecked_advise_range(UncheckedAdvice::DontNeed, offset, length) };
     }
 }
 
@@ -143,11 +136,25 @@ fn widen<const N: usize>(bytes: &[u8], convert: impl Fn([u8; N]) -> f32 + Sync) 
     items.par_iter().with_min_len(1 << 16).map(|&item| convert(item)).collect()
 }
 
-/// The library's messages name its enum variants; say the two common ones in words.
-fn explained(message: &str, length: usize) -> String {
-    let lower = message.to_lowercase();
-    if length < 8 || lower.contains("header too small") || lower.contains("headertoosmall") {
-        return format!("{length} bytes are less than its header's length");
+/// Bytes before the header that hold its length.
+const LENGTH: usize = 8;
+
+/// What is wrong with a file, in words: the library names its cases for programmers.
+fn explained(error: &SafeTensorError, bytes: &[u8]) -> String {
+    let found = bytes.len();
+    let Some(length) = bytes.first_chunk::<LENGTH>().map(|bytes| u64::from_le_bytes(*bytes)) else {
+        return format!("cut off: {found} bytes, too few for the length of its header");
+    };
+    match error {
+        SafeTensorError::InvalidHeaderLength => {
+            format!("cut off: {found} bytes, its header alone says {length}")
+        }
+        SafeTensorError::MetadataIncompleteBuffer => format!(
+            "cut off or too long: {found} bytes, other than the sizes of its tensors add up to"
+        ),
+        SafeTensorError::HeaderTooLarge => {
+            format!("{found} bytes, the first of which make no header's length ({length})")
+        }
+        other => format!("{other} ({found} bytes)"),
     }
-    format!("{message} ({length} bytes)")
 }

@@ -141,9 +141,8 @@ pub fn write_checkpoint(
     let tensors = specs.iter().map(|spec| (&spec.key, Made { weights: &weights, spec }));
     let metadata = HashMap::from([("format".to_owned(), "pt".to_owned())]);
     let path = folder.join(WEIGHTS_FILE);
-    safetensors::serialize_to_file(tensors, Some(metadata), &path).map_err(|error| {
-        ModelError::Io { path, source: std::io::Error::other(error.to_string()) }
-    })
+    safetensors::serialize_to_file(tensors, Some(metadata), &path)
+        .map_err(|error| ModelError::Io { path, source: std::io::Error::other(error.to_string()) })
 }
 
 /// A tensor made while it is written.

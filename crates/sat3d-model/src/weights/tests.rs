@@ -66,11 +66,8 @@ fn the_release_has_the_published_list_of_tensors() {
         .map(|spec| (spec.key.clone(), spec.shape.clone()))
         .collect();
     assert_eq!(made, listed);
-    let parameters: usize = specs
-        .iter()
-        .filter(|spec| spec.need != Need::Buffer)
-        .map(TensorSpec::values)
-        .sum();
+    let parameters: usize =
+        specs.iter().filter(|spec| spec.need != Need::Buffer).map(TensorSpec::values).sum();
     assert_eq!(parameters, 381_022_223);
 }
 
@@ -118,14 +115,17 @@ fn a_written_checkpoint_is_read_and_described() {
         })
         .collect();
     // Hashes of the file that the reference saved, by the recipe of `ModuleSummary::sha256`.
-    assert_eq!(modules, [
-        ("unet_model.dino_model", 58, 199_872, "e81426ad61d6c8ee"),
-        ("unet_model.decoder", 160, 381_040, "36f9f25e0cd72cde"),
-        ("mlp", 10, 1_897, "0591da5820bdd4d6"),
-        ("sky_mapping", 4, 81_842, "571274ea08a10717"),
-        ("sky_decoder", 74, 495_592, "42719485aa937bc8"),
-        ("sr_module", 11, 8_320, "8adab1126479fc8f"),
-    ]);
+    assert_eq!(
+        modules,
+        [
+            ("unet_model.dino_model", 58, 199_872, "e81426ad61d6c8ee"),
+            ("unet_model.decoder", 160, 381_040, "36f9f25e0cd72cde"),
+            ("mlp", 10, 1_897, "0591da5820bdd4d6"),
+            ("sky_mapping", 4, 81_842, "571274ea08a10717"),
+            ("sky_decoder", 74, 495_592, "42719485aa937bc8"),
+            ("sr_module", 11, 8_320, "8adab1126479fc8f"),
+        ]
+    );
     let bytes = std::fs::read(folder.path().join(WEIGHTS_FILE)).unwrap();
     assert_eq!(inspection.bytes, bytes.len() as u64);
     // The same tensors give the same modules, whatever the layout of the file.
@@ -236,6 +236,7 @@ fn damaged_files_are_refused() {
     longer.push(0);
     std::fs::write(&path, longer).unwrap();
     assert!(Checkpoint::open(folder.path()).unwrap_err().to_string().contains("too long"));
+    assert!(matches!(Checkpoint::open(folder.path()), Err(ModelError::Damaged { .. })));
     // Not safetensors at all; and a header that lies about its own length.
     let mut lying = whole.clone();
     lying[..8].copy_from_slice(&u64::MAX.to_le_bytes());
@@ -262,7 +263,8 @@ fn another_class_is_refused() {
 fn half_precision_is_widened_exactly() {
     let mut tensors = tiny_tensors();
     let values = [1.0_f32, -0.333_251_95, 65504.0, 6.1e-5];
-    for (key, dtype) in [("sr_module.block0.conv0.conv.bias", Dtype::F16), ("mlp.net1_feature.bias", Dtype::BF16)]
+    for (key, dtype) in
+        [("sr_module.block0.conv0.conv.bias", Dtype::F16), ("mlp.net1_feature.bias", Dtype::BF16)]
     {
         let (_, shape, _) = tensors[key].clone();
         let bytes = (0..shape[0])
