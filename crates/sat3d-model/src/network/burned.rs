@@ -59,6 +59,12 @@ impl BurnNetwork {
         })
     }
 
+    /// What the network is made of.
+    #[must_use]
+    pub fn config(&self) -> &Config {
+        &self.config
+    }
+
     /// Normalised image (`3 x 256 x 256`) to the encoder's patch tokens (`1024 x 16 x 16`).
     ///
     /// # Errors
