@@ -188,3 +188,6 @@ pub fn normalise(image: &Image8) -> Result<Grid, ModelError> {
 pub fn satellite(image: &Image8, side: usize) -> Result<Grid, ModelError> {
     normalise(&resize_bicubic(image, side, side))
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,10 +1,11 @@
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
-use super::layers::standardise;
+use super::layers::{Conv, bilinear, standardise};
+use super::loader::Loader;
 use super::*;
-use crate::config::Config;
+use crate::config::{Border, Config};
 use crate::weights::rule::{RuleWeights, tiny_overrides};
-use crate::weights::{Need, expected};
+use crate::weights::{Need, TensorSource, expected};
 use burn::module::{Module, ModuleVisitor, Param};
 use burn::tensor::{Tensor, TensorData};
 use std::collections::BTreeMap;
@@ -142,4 +143,87 @@ fn the_rotary_table_turns_patches_only() {
     let at = |row: usize, column: usize, index: usize| cos[(row * 16 + column) * head + index];
     assert_eq!(at(3, 12, 1).to_bits(), at(12, 3, 1 + head / 4).to_bits());
     assert_eq!(at(3, 12, 1).to_bits(), at(3, 12, 1 + head / 2).to_bits());
+}
+
+/// Draws for every key, of any shape.
+struct AnyWeights(RuleWeights);
+
+impl TensorSource for AnyWeights {
+    fn read(&self, key: &str, shape: &[usize]) -> Result<Vec<f32>, ModelError> {
+        Ok(self.0.values(key, shape))
+    }
+}
+
+#[test]
+fn convolutions_continue_their_border_as_named() {
+    let (inputs, outputs, height, width) = (3, 2, 5, 4);
+    let source = AnyWeights(RuleWeights::new(&tiny(), Vec::new()));
+    let device = Device::Cpu.open().unwrap();
+    let loader = Loader::new(&source, &device);
+    let weight = source.0.values("weight", &[outputs, inputs, 3, 3]);
+    let bias = source.0.values("bias", &[outputs]);
+    let data = source.0.values("data", &[inputs, height * width]);
+    // The index that a place outside stands for.
+    let inside = |border: Border, at: isize, length: usize| -> Option<usize> {
+        let last = length as isize - 1;
+        let at = match border {
+            Border::Reflect if at < 0 => -at,
+            Border::Reflect if at > last => 2 * last - at,
+            Border::Circular => at.rem_euclid(last + 1),
+            _ => at,
+        };
+        usize::try_from(at).ok().filter(|&at| at < length)
+    };
+    for border in [Border::Zeros, Border::Reflect, Border::Circular] {
+        let conv = Conv::load(&loader, inputs, outputs, 3).unwrap().with_border(border);
+        let shape = [1, inputs, height, width];
+        let input = Tensor::from_data(TensorData::new(data.clone(), shape), &device);
+        let result = conv.forward(input);
+        assert_eq!(result.dims(), [1, outputs, height, width]);
+        let result: Vec<f32> = result.into_data().try_into_vec().unwrap();
+        for (at, &found) in result.iter().enumerate() {
+            let (output, row, column) = (at / (height * width), at / width % height, at % width);
+            let mut exact = f64::from(bias[output]);
+            for tap in 0..inputs * 9 {
+                let (channel, down, right) = (tap / 9, tap / 3 % 3, tap % 3);
+                let row = inside(border, (row + down) as isize - 1, height);
+                let column = inside(border, (column + right) as isize - 1, width);
+                if let (Some(row), Some(column)) = (row, column) {
+                    let value = data[(channel * height + row) * width + column];
+                    exact += f64::from(weight[output * inputs * 9 + tap]) * f64::from(value);
+                }
+            }
+            assert!((f64::from(found) - exact).abs() < 1e-5, "{border:?} {at}: {found}, {exact}");
+        }
+    }
+}
+
+#[test]
+fn bilinear_doubling_takes_pixels_as_areas() {
+    let device = Device::Cpu.open().unwrap();
+    let data = TensorData::new(vec![0.0_f32, 4.0, 8.0, 16.0], [1, 1, 2, 2]);
+    let doubled = bilinear(Tensor::from_data(data, &device));
+    let doubled: Vec<f32> = doubled.into_data().try_into_vec().unwrap();
+    // A quarter and three quarters between neighbours, the border repeated.
+    let wanted = [
+        0.0, 1.0, 3.0, 4.0, //
+        2.0, 3.25, 5.75, 7.0, //
+        6.0, 7.75, 11.25, 13.0, //
+        8.0, 10.0, 14.0, 16.0,
+    ];
+    assert_eq!(doubled, wanted);
+}
+
+#[test]
+fn padding_and_representation_decide_the_maps_size() {
+    let unpadded = TINY.replace("\"pad\": 0.125,", "");
+    let multi = TINY.replace("\"oneplane\"", "\"oneplane_multi\"");
+    assert!(unpadded != TINY && multi != TINY);
+    let tokens = Grid::new(64, 16, 16, vec![0.5; 64 * 256]);
+    for (text, side) in [(unpadded, 256), (multi, 320)] {
+        let config = Config::from_json(&text).unwrap();
+        let map = network(&config).decode(&tokens, None).unwrap();
+        assert_eq!((map.channels, map.height, map.width), (16, side, side));
+        assert!(map.data.iter().all(|value| value.is_finite()));
+    }
 }
