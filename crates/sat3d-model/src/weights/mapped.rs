@@ -3,7 +3,7 @@
 
 use crate::error::{Mismatch, ModelError};
 use half::{bf16, f16};
-use memmap2::{Advice, Mmap, UncheckedAdvice};
+use memmap2::Mmap;
 use rayon::prelude::*;
 use safetensors::tensor::{Dtype, Metadata, SafeTensorError, SafeTensors, TensorInfo};
 use std::fs::File;
@@ -36,8 +36,6 @@ impl MappedFile {
             ModelError::Damaged { path: path.into(), why: explained(&error, &map) }
         })?;
         let start = header + LENGTH;
-        // Tensors are read whole and in any order; a failure to hint changes nothing.
-        let _ = map.advise(Advice::Random);
         let keys = metadata.offset_keys();
         Ok(Self { path: path.into(), map, metadata, keys, start })
     }
@@ -119,14 +117,20 @@ impl MappedFile {
     }
 
     /// Lets the system drop the pages of a part of [`MappedFile::bytes`]; they come back from the
-    /// file when they are read again.
+    /// file when they are read again. Only a hint, and only where the system has one.
     pub(super) fn release(&self, part: &[u8]) {
-        let offset = part.as_ptr().addr() - self.map.as_ptr().addr();
-        let length = part.len();
-        // SAFETY: the map is file-backed and never written, so dropped pages are read again with
-        // the same content.
-        let _ =
-            unsafe { self.map.unchecked_advise_range(UncheckedAdvice::DontNeed, offset, length) };
+        #[cfg(unix)]
+        {
+            let offset = part.as_ptr().addr().wrapping_sub(self.map.as_ptr().addr());
+            if offset <= self.map.len() && part.len() <= self.map.len() - offset {
+                let advice = memmap2::UncheckedAdvice::DontNeed;
+                // SAFETY: the map is file-backed and never written, so dropped pages are read
+                // again with the same content.
+                let _ = unsafe { self.map.unchecked_advise_range(advice, offset, part.len()) };
+            }
+        }
+        #[cfg(not(unix))]
+        let _ = part;
     }
 }
 
