@@ -146,6 +146,9 @@ fn vertical(image: &Image8, height: usize) -> Image8 {
 /// Resizes as Pillow's `resize(size, BICUBIC)` does: columns first, each pass rounded to bytes, the
 /// kernel widened where the image shrinks. The aspect ratio is not kept.
 ///
+/// Pillow from 13 on takes the rows of tall images first, which changes a few pixels by one step of
+/// rounding; earlier ones, and this, never do.
+///
 /// # Panics
 /// When `width` or `height` is 0.
 #[must_use]

@@ -11,8 +11,11 @@
 
 use safetensors::SafeTensors;
 use sat3d_model::config::{Config, RELEASED};
+use sat3d_model::field::{DensityActivation, Representation};
 use sat3d_model::network::{BurnNetwork, Stage};
-use sat3d_model::weights::rule::{Override, RuleWeights, full_overrides, tiny_overrides};
+use sat3d_model::weights::rule::{
+    Override, RuleWeights, full_overrides, tiny_overrides, write_checkpoint,
+};
 use sat3d_model::weights::{Checkpoint, TensorSource, expected};
 use sat3d_model::{Device, Grid, Image8, Model, Network, preprocess};
 use std::path::{Path, PathBuf};
@@ -345,6 +348,21 @@ fn the_references_files_hold_the_rules_weights() {
         assert_eq!(model.head.net0.inputs, config.point_features());
         assert_eq!(model.head.density.bias, [-4.5]);
     }
+}
+
+#[test]
+fn a_loaded_model_gives_the_field_its_inputs() {
+    let text = std::fs::read_to_string(golden("tiny/model/config.json").unwrap()).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    write_checkpoint(folder.path(), &text, tiny_overrides()).unwrap();
+    let model = Model::load(folder.path(), &Device::Cpu).unwrap();
+    let inputs = model.field_inputs(&png("inputs/satellite_47.6_-122.33.png")).unwrap();
+    assert_eq!(inputs.representation, Representation::Oneplane);
+    assert_eq!(inputs.activation, DensityActivation::Mipnerf);
+    assert_eq!(inputs.scale.to_bits(), 0.8_f32.to_bits());
+    tiny().check_planes(&inputs.map, &Golden::open("tiny/02_decoder.safetensors"));
+    // As from the file, so by the rule.
+    assert!(inputs.map == tiny().network.map(&satellite()).unwrap());
 }
 
 /// The same bytes for any number of threads: stored results hang on it.

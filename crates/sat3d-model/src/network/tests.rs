@@ -8,7 +8,8 @@ use crate::weights::rule::{RuleWeights, tiny_overrides};
 use crate::weights::{Need, TensorSource, expected};
 use burn::module::{Module, ModuleVisitor, Param};
 use burn::tensor::{Tensor, TensorData};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Arc, Mutex};
 
 const TINY: &str = include_str!("../../fixtures/tiny/model/config.json");
 
@@ -226,4 +227,47 @@ fn padding_and_representation_decide_the_maps_size() {
         assert_eq!((map.channels, map.height, map.width), (16, side, side));
         assert!(map.data.iter().all(|value| value.is_finite()));
     }
+}
+
+/// Notes which tensors are read.
+struct Noted {
+    weights: RuleWeights,
+    keys: Arc<Mutex<Vec<String>>>,
+}
+
+impl TensorSource for Noted {
+    fn read(&self, key: &str, shape: &[usize]) -> Result<Vec<f32>, ModelError> {
+        self.keys.lock().unwrap().push(key.into());
+        self.weights.read(key, shape)
+    }
+}
+
+#[test]
+fn only_what_an_output_needs_is_read_and_only_once() {
+    let config = tiny();
+    let keys = Arc::new(Mutex::new(Vec::new()));
+    let weights = RuleWeights::new(&config, tiny_overrides());
+    let source = Noted { weights, keys: Arc::clone(&keys) };
+    let network = BurnNetwork::new(config.clone(), Box::new(source), Device::Cpu).unwrap();
+    assert!(keys.lock().unwrap().is_empty());
+    let read_by = |stage: &dyn Fn()| -> BTreeSet<String> {
+        keys.lock().unwrap().clear();
+        stage();
+        let keys = keys.lock().unwrap();
+        let modules: BTreeSet<String> =
+            keys.iter().map(|key| key.split('.').take(2).collect::<Vec<_>>().join(".")).collect();
+        let different: BTreeSet<&String> = keys.iter().collect();
+        assert_eq!(different.len(), keys.len(), "a tensor was read twice");
+        modules
+    };
+    let image = Grid::new(3, 256, 256, vec![0.0; 3 * 256 * 256]);
+    let map = || drop(network.map(&image).unwrap());
+    let modules: Vec<String> = read_by(&map).into_iter().collect();
+    assert_eq!(modules, ["unet_model.decoder", "unet_model.dino_model"]);
+    assert!(read_by(&map).is_empty());
+    let style = || drop(network.style(&[0.0; 270]).unwrap());
+    assert!(read_by(&style).iter().all(|module| module == "sky_mapping.mapping"));
+    let features = Grid::new(8, 4, 4, vec![0.5; 128]);
+    let sharp = || drop(network.super_resolve(&features).unwrap());
+    assert!(read_by(&sharp).iter().all(|module| module.starts_with("sr_module.")));
 }
