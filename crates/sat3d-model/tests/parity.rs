@@ -214,6 +214,13 @@ impl Set {
         let size = map.height * map.width;
         let (plane, rest) = map.data.split_at(self.plane * size);
         golden.compare("plane", &[self.plane, map.height, map.width], plane, self.planes);
+        let every_eighth: Vec<f32> = plane
+            .chunks(map.width)
+            .step_by(8)
+            .flat_map(|row| row.iter().copied().step_by(8))
+            .collect();
+        let name = format!("{} plane, every 8th", golden.name);
+        self.planes.check(&name, &every_eighth, &golden.values("plane_stride8").unwrap());
         let line: Vec<f32> = rest
             .chunks(size)
             .flat_map(|channel| {
