@@ -1,0 +1,22 @@
+//! The Sat3DGen network in Rust: a satellite image becomes a radiance field; DSM, density grid, mesh
+//! and street views are rendered from it.
+//!
+//! The crate knows nothing of maps, and of files only checkpoints and scenes.
+
+pub mod config;
+mod error;
+pub mod field;
+mod model;
+pub mod network;
+pub mod preprocess;
+pub mod render;
+mod tensor;
+pub mod weights;
+
+pub use config::Config;
+pub use error::{Mismatch, ModelError};
+pub use model::Model;
+pub use network::{Device, Network};
+pub use preprocess::Image8;
+pub use tensor::Grid;
+pub use weights::Checkpoint;

@@ -1,0 +1,67 @@
+//! A loaded model: config, point head, and the network behind its interface.
+
+use crate::config::Config;
+use crate::error::ModelError;
+use crate::field::{FieldInputs, PointHead};
+use crate::network::{BurnNetwork, Device, Network};
+use crate::preprocess::{self, Image8};
+use crate::weights::{Checkpoint, TensorSource, point_head};
+use std::path::Path;
+
+/// A model ready to run. Only the point head is read at once; the network's modules are read when an
+/// output first needs them.
+pub struct Model {
+    /// The network's description.
+    pub config: Config,
+    /// Weights of the point head.
+    pub head: PointHead,
+    /// The network's stages.
+    pub network: Box<dyn Network>,
+}
+
+impl std::fmt::Debug for Model {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.debug_struct("Model").field("config", &self.config).finish_non_exhaustive()
+    }
+}
+
+impl Model {
+    /// Opens a checkpoint folder (or the one inside a training checkpoint's folder).
+    ///
+    /// # Errors
+    /// Those of [`Checkpoint::open`]; [`ModelError::Device`] for a device that this program was
+    /// built without.
+    pub fn load(folder: &Path, device: &Device) -> Result<Self, ModelError> {
+        let checkpoint = Checkpoint::open(folder)?;
+        Self::from_source(checkpoint.config().clone(), Box::new(checkpoint), device)
+    }
+
+    /// A model whose tensors come from anywhere, as from [`crate::weights::rule`].
+    ///
+    /// # Errors
+    /// [`ModelError::Tensors`] where the source lacks the point head; [`ModelError::Device`].
+    pub fn from_source(
+        config: Config,
+        source: Box<dyn TensorSource>,
+        device: &Device,
+    ) -> Result<Self, ModelError> {
+        let head = point_head(&config, source.as_ref())?;
+        let network = Box::new(BurnNetwork::new(config.clone(), source, *device)?);
+        Ok(Self { config, head, network })
+    }
+
+    /// A satellite image of any size (RGB, north up) to all that its field needs: resized,
+    /// normalised, encoded, decoded.
+    ///
+    /// # Errors
+    /// [`ModelError::Shape`] where the image is not RGB; those of [`Network::map`].
+    pub fn field_inputs(&self, image: &Image8) -> Result<FieldInputs, ModelError> {
+        let input = preprocess::satellite(image, self.config.image_side())?;
+        Ok(FieldInputs {
+            map: self.network.map(&input)?,
+            representation: self.config.representation,
+            activation: self.config.activation,
+            scale: self.config.scale as f32,
+        })
+    }
+}

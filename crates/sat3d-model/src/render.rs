@@ -1,0 +1,1 @@
+//! Rays through the field: satellite view, panorama, perspective, density grid.

@@ -1,0 +1,164 @@
+//! A safetensors file in memory by mapping, read tensor by tensor.
+#![expect(unsafe_code, reason = "mapping a file, and giving its pages back, are unsafe calls")]
+
+use crate::error::{Mismatch, ModelError};
+use half::{bf16, f16};
+use memmap2::Mmap;
+use rayon::prelude::*;
+use safetensors::tensor::{Dtype, Metadata, SafeTensorError, SafeTensors, TensorInfo};
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+/// A mapped safetensors file whose header has been checked against its length.
+#[derive(Debug)]
+pub struct MappedFile {
+    path: PathBuf,
+    map: Mmap,
+    metadata: Metadata,
+    /// In file order.
+    keys: Vec<String>,
+    /// Where the tensors' bytes begin.
+    start: usize,
+}
+
+impl MappedFile {
+    /// Maps a file and reads its header. As with every mapped file, the program is stopped by the
+    /// system if somebody truncates the file while it is in use.
+    ///
+    /// # Errors
+    /// [`ModelError::Io`]; [`ModelError::Damaged`] where the file is cut off, or is not safetensors.
+    pub fn open(path: &Path) -> Result<Self, ModelError> {
+        let file = File::open(path).map_err(ModelError::io(path))?;
+        // SAFETY: the map is only read. Another process changing the file would change values
+        // under us, never types or lengths: every byte pattern is a valid u8.
+        let map = unsafe { Mmap::map(&file) }.map_err(ModelError::io(path))?;
+        let (header, metadata) = SafeTensors::read_metadata(&map).map_err(|error| {
+            ModelError::Damaged { path: path.into(), why: explained(&error, &map) }
+        })?;
+        let start = header + LENGTH;
+        let keys = metadata.offset_keys();
+        Ok(Self { path: path.into(), map, metadata, keys, start })
+    }
+
+    /// The file.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// All of its bytes.
+    #[must_use]
+    pub fn bytes(&self) -> &[u8] {
+        &self.map
+    }
+
+    /// Keys of the tensors, in file order.
+    pub fn keys(&self) -> impl Iterator<Item = &str> {
+        self.keys.iter().map(String::as_str)
+    }
+
+    /// Shape of a tensor.
+    #[must_use]
+    pub fn shape(&self, key: &str) -> Option<&[usize]> {
+        self.metadata.info(key).map(|info| info.shape.as_slice())
+    }
+
+    /// Name of a tensor's element type, as `F32`.
+    #[must_use]
+    pub fn element(&self, key: &str) -> Option<String> {
+        self.metadata.info(key).map(|info| info.dtype.to_string())
+    }
+
+    /// The element type of a tensor where it cannot be read as f32.
+    pub(super) fn unreadable_type(&self, key: &str) -> Option<String> {
+        let info = self.metadata.info(key)?;
+        let readable = matches!(info.dtype, Dtype::F32 | Dtype::F16 | Dtype::BF16);
+        (!readable).then(|| info.dtype.to_string())
+    }
+
+    /// A tensor's bytes in the file.
+    #[must_use]
+    pub fn raw(&self, key: &str) -> Option<&[u8]> {
+        let info = self.metadata.info(key)?;
+        Some(&self.map[self.start..][info.data_offsets.0..info.data_offsets.1])
+    }
+
+    /// Converts one tensor to f32 and gives its pages back to the system.
+    ///
+    /// # Errors
+    /// [`ModelError::Tensors`] where it is missing or of another shape or type.
+    pub fn read(&self, key: &str, shape: &[usize]) -> Result<Vec<f32>, ModelError> {
+        let mut mismatch = Mismatch::default();
+        match self.metadata.info(key) {
+            None => mismatch.missing.push(key.into()),
+            Some(info) if info.shape != shape => {
+                mismatch.misshaped.push((key.into(), shape.to_vec(), info.shape.clone()));
+            }
+            Some(info) => match self.convert(info) {
+                Some(values) => return Ok(values),
+                None => mismatch.mistyped.push((key.into(), info.dtype.to_string())),
+            },
+        }
+        let path = self.path.clone();
+        Err(ModelError::Tensors { path, mismatch: Box::new(mismatch) })
+    }
+
+    fn convert(&self, info: &TensorInfo) -> Option<Vec<f32>> {
+        let (begin, end) = info.data_offsets;
+        let bytes = &self.map[self.start + begin..self.start + end];
+        let values = match info.dtype {
+            Dtype::F32 => widen(bytes, f32::from_le_bytes),
+            Dtype::F16 => widen(bytes, |half| f16::from_le_bytes(half).to_f32()),
+            Dtype::BF16 => widen(bytes, |half| bf16::from_le_bytes(half).to_f32()),
+            _ => return None,
+        };
+        self.release(bytes);
+        Some(values)
+    }
+
+    /// Lets the system drop the pages of a part of [`MappedFile::bytes`]; they come back from the
+    /// file when they are read again. Only a hint, and only where the system has one.
+    pub(super) fn release(&self, part: &[u8]) {
+        #[cfg(unix)]
+        {
+            let offset = part.as_ptr().addr().wrapping_sub(self.map.as_ptr().addr());
+            if offset <= self.map.len() && part.len() <= self.map.len() - offset {
+                let advice = memmap2::UncheckedAdvice::DontNeed;
+                // SAFETY: the map is file-backed and never written, so dropped pages are read
+                // again with the same content.
+                let _ = unsafe { self.map.unchecked_advise_range(advice, offset, part.len()) };
+            }
+        }
+        #[cfg(not(unix))]
+        let _ = part;
+    }
+}
+
+/// Converts in parallel: each value stands alone.
+fn widen<const N: usize>(bytes: &[u8], convert: impl Fn([u8; N]) -> f32 + Sync) -> Vec<f32> {
+    let (items, _) = bytes.as_chunks::<N>();
+    items.par_iter().with_min_len(1 << 16).map(|&item| convert(item)).collect()
+}
+
+/// Bytes before the header that hold its length.
+const LENGTH: usize = 8;
+
+/// What is wrong with a file, in words: the library names its cases for programmers.
+fn explained(error: &SafeTensorError, bytes: &[u8]) -> String {
+    let found = bytes.len();
+    let Some(length) = bytes.first_chunk::<LENGTH>().map(|bytes| u64::from_le_bytes(*bytes)) else {
+        return format!("cut off: {found} bytes, too few for the length of its header");
+    };
+    match error {
+        SafeTensorError::InvalidHeaderLength => {
+            format!("cut off: {found} bytes, its header alone says {length}")
+        }
+        SafeTensorError::MetadataIncompleteBuffer => format!(
+            "cut off or too long: {found} bytes, other than the sizes of its tensors add up to"
+        ),
+        SafeTensorError::HeaderTooLarge => {
+            format!("{found} bytes, the first of which make no header's length ({length})")
+        }
+        other => format!("{other} ({found} bytes)"),
+    }
+}

@@ -1,0 +1,164 @@
+//! Checkpoints: folders with `config.json` and `diffusion_pytorch_model.safetensors`.
+//!
+//! The file is memory-mapped and each tensor is converted on its own, when the module that holds it
+//! is first needed; its pages are given back at once. So a DSM never reads the sky network, and no
+//! more than one tensor is in memory twice.
+
+use crate::config::Config;
+use crate::error::{Mismatch, ModelError};
+use crate::field::{Linear, PointHead};
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+mod expected;
+mod inspect;
+mod mapped;
+pub mod rule;
+
+pub use expected::{Need, TensorSpec, expected};
+pub use inspect::{Inspection, ModuleSummary, inspect};
+pub use mapped::MappedFile;
+
+/// Name of the weights' file in a checkpoint folder.
+pub const WEIGHTS_FILE: &str = "diffusion_pytorch_model.safetensors";
+/// Where a training checkpoint keeps the network; the averaged weights first.
+const INSIDE: [&str; 2] = ["vqmodel_ema", "vqmodel"];
+
+/// Something that holds the tensors of a network by their checkpoint keys.
+pub trait TensorSource: Send + Sync {
+    /// The values of one tensor, row-major, as f32.
+    ///
+    /// # Errors
+    /// [`ModelError::Tensors`] where the key is missing or its shape is not `shape`.
+    fn read(&self, key: &str, shape: &[usize]) -> Result<Vec<f32>, ModelError>;
+}
+
+/// Finds the checkpoint in a folder: the folder itself, or `vqmodel_ema` or `vqmodel` inside it.
+///
+/// # Errors
+/// [`ModelError::NoCheckpoint`] where none of them holds a `config.json` and a
+/// [`WEIGHTS_FILE`].
+pub fn locate(folder: &Path) -> Result<PathBuf, ModelError> {
+    let no = |why: String| Err(ModelError::NoCheckpoint { folder: folder.into(), why });
+    if !folder.is_dir() {
+        return no("not a folder".into());
+    }
+    let candidates =
+        std::iter::once(folder.to_path_buf()).chain(INSIDE.map(|inside| folder.join(inside)));
+    let mut half = None;
+    for candidate in candidates {
+        let config = candidate.join("config.json").is_file();
+        let weights = candidate.join(WEIGHTS_FILE).is_file();
+        match (config, weights) {
+            (true, true) => return Ok(candidate),
+            (true, false) => half = half.or(Some((candidate, WEIGHTS_FILE))),
+            (false, true) => half = half.or(Some((candidate, "config.json"))),
+            (false, false) => {}
+        }
+    }
+    match half {
+        Some((place, missing)) => no(format!("{} has no {missing}", place.display())),
+        None => no(format!("no config.json in it, nor in {} inside it", INSIDE.join(" or "))),
+    }
+}
+
+/// An opened checkpoint: its config, and its tensors still on disk. Every tensor that the config
+/// asks for is there and has the right shape.
+#[derive(Debug)]
+pub struct Checkpoint {
+    folder: PathBuf,
+    config: Config,
+    file: MappedFile,
+}
+
+impl Checkpoint {
+    /// Opens a checkpoint folder, or the one inside a training checkpoint (see [`locate`]), and
+    /// holds its list of tensors against the config. Reads only the file's header.
+    ///
+    /// # Errors
+    /// Those of [`locate`], [`Config::from_folder`] and [`MappedFile::open`];
+    /// [`ModelError::Tensors`] with all tensors that are missing, extra or of another shape.
+    pub fn open(folder: &Path) -> Result<Self, ModelError> {
+        let folder = locate(folder)?;
+        let config = Config::from_folder(&folder)?;
+        let file = MappedFile::open(&folder.join(WEIGHTS_FILE))?;
+        let mismatch = compare(&expected(&config), &file);
+        if !mismatch.is_empty() {
+            let path = file.path().into();
+            return Err(ModelError::Tensors { path, mismatch: Box::new(mismatch) });
+        }
+        Ok(Self { folder, config, file })
+    }
+
+    /// The folder that holds `config.json`.
+    #[must_use]
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// The network that the tensors make.
+    #[must_use]
+    pub fn config(&self) -> &Config {
+        &self.config
+    }
+
+    /// The mapped weights.
+    #[must_use]
+    pub fn file(&self) -> &MappedFile {
+        &self.file
+    }
+}
+
+impl TensorSource for Checkpoint {
+    fn read(&self, key: &str, shape: &[usize]) -> Result<Vec<f32>, ModelError> {
+        self.file.read(key, shape)
+    }
+}
+
+fn compare(specs: &[TensorSpec], file: &MappedFile) -> Mismatch {
+    let mut mismatch = Mismatch::default();
+    let known: HashMap<&str, &TensorSpec> =
+        specs.iter().map(|spec| (spec.key.as_str(), spec)).collect();
+    for spec in specs.iter().filter(|spec| spec.need == Need::Required) {
+        match file.shape(&spec.key) {
+            None => mismatch.missing.push(spec.key.clone()),
+            Some(shape) if shape != spec.shape => {
+                mismatch.misshaped.push((spec.key.clone(), spec.shape.clone(), shape.to_vec()));
+            }
+            Some(_) => {
+                if let Some(found) = file.unreadable_type(&spec.key) {
+                    mismatch.mistyped.push((spec.key.clone(), found));
+                }
+            }
+        }
+    }
+    mismatch.extra = file.keys().filter(|key| !known.contains_key(key)).map(Into::into).collect();
+    mismatch.extra.sort_unstable();
+    mismatch
+}
+
+/// Reads the point head (`mlp`).
+///
+/// # Errors
+/// Those of [`TensorSource::read`].
+pub fn point_head(config: &Config, source: &dyn TensorSource) -> Result<PointHead, ModelError> {
+    let linear = |name: &str, inputs: usize, outputs: usize| {
+        Ok::<_, ModelError>(Linear {
+            inputs,
+            outputs,
+            weight: source.read(&format!("mlp.{name}.weight"), &[outputs, inputs])?,
+            bias: source.read(&format!("mlp.{name}.bias"), &[outputs])?,
+        })
+    };
+    let hidden = config.head_hidden;
+    Ok(PointHead {
+        net0: linear("net0", config.point_features(), hidden)?,
+        density: linear("net1_density", hidden, 1)?,
+        feature: linear("net1_feature", hidden, hidden / 2)?,
+        style: linear("style_squ", config.style, hidden / 2)?,
+        color: linear("grd_color_convert", hidden, config.color_channels)?,
+    })
+}
+
+#[cfg(test)]
+mod tests;
