@@ -4,7 +4,10 @@
 //! The crate knows nothing of maps, and of files only checkpoints and scenes.
 
 pub mod field;
+pub mod illumination;
 pub mod render;
+pub mod scene;
 mod tensor;
 
+pub use scene::Scene;
 pub use tensor::Grid;

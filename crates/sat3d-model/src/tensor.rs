@@ -20,7 +20,11 @@ impl Grid {
     /// When `data` does not hold `channels * height * width` values.
     #[must_use]
     pub fn new(channels: usize, height: usize, width: usize, data: Vec<f32>) -> Self {
-        assert_eq!(data.len(), channels * height * width, "a grid of {channels} x {height} x {width}");
+        assert_eq!(
+            data.len(),
+            channels * height * width,
+            "a grid of {channels} x {height} x {width}"
+        );
         Self { channels, height, width, data }
     }
 
