@@ -78,48 +78,72 @@ impl Line {
     }
 }
 
-/// The head at one point: `base` plus weighted texels, softplus, then the dot product with the
-/// density weights. The hidden values go to `store` unless it is empty.
+/// Points whose hidden values are computed before their dot products are taken, where nobody wants to
+/// keep them.
+const ROOM: usize = 8;
+
+/// Hidden values of one point: softplus of `base` plus weighted texels.
+///
+/// One plain loop over slices of one length: that is the form which the compiler vectorises whole.
 #[inline(always)]
-fn head<const TAPS: usize>(
+fn hidden_values<const TAPS: usize>(
     base: &[f32],
     taps: [&[f32]; TAPS],
     weights: [f32; TAPS],
-    density: &[f32],
-    store: &mut [f32],
-) -> f32 {
-    let base = base.as_chunks::<LANES>().0;
-    let taps = taps.map(|tap| &tap.as_chunks::<LANES>().0[..base.len()]);
-    let density = &density.as_chunks::<LANES>().0[..base.len()];
-    let store = store.as_chunks_mut::<LANES>().0;
-    let mut sum = [0.0_f32; LANES];
-    for block in 0..base.len() {
-        let mut values = base[block];
+    out: &mut [f32],
+) {
+    let count = out.len();
+    let base = &base[..count];
+    let mut cut = taps;
+    for tap in 0..TAPS {
+        cut[tap] = &taps[tap][..count];
+    }
+    for index in 0..count {
+        let mut value = base[index];
         for tap in 0..TAPS {
-            let texel = &taps[tap][block];
-            for lane in 0..LANES {
-                values[lane] = weights[tap].mul_add(texel[lane], values[lane]);
-            }
+            value = weights[tap].mul_add(cut[tap][index], value);
         }
-        for value in &mut values {
-            *value = softplus(*value);
-        }
+        out[index] = softplus(value);
+    }
+}
+
+/// The dot product of hidden values and density weights, both whole groups of lanes.
+#[inline(always)]
+fn dot(values: &[f32], weights: &[f32]) -> f32 {
+    let mut sum = [0.0_f32; LANES];
+    let (values, weights) = (values.as_chunks::<LANES>().0, weights.as_chunks::<LANES>().0);
+    for (values, weights) in values.iter().zip(weights) {
         for lane in 0..LANES {
-            sum[lane] = values[lane].mul_add(density[block][lane], sum[lane]);
-        }
-        if let Some(store) = store.get_mut(block) {
-            *store = values;
+            sum[lane] = values[lane].mul_add(weights[lane], sum[lane]);
         }
     }
     sum_lanes(sum)
 }
 
-/// The slot of point `index` in a store of hidden values, empty where none are wanted.
+/// Hidden values of numbered points. A trait rather than a closure, because only a method can be
+/// made to be inlined, and what is not inlined is compiled without the vector unit.
+trait HiddenValues {
+    fn at(&self, index: usize, out: &mut [f32]);
+}
+
+/// Hidden values of all points, in groups, and their dot products with the density weights. Without a
+/// store the values go to a small buffer that is used again and again.
 #[inline(always)]
-fn slot<'a>(store: &'a mut Option<&mut [f32]>, index: usize, hidden: usize) -> &'a mut [f32] {
-    match store {
-        Some(store) => &mut store[index * hidden..][..hidden],
-        None => &mut [],
+fn head(field: &Field, raw: &mut [f32], store: Option<&mut [f32]>, source: &impl HiddenValues) {
+    let hidden = field.hidden;
+    let density = &field.density_weight[..hidden];
+    let kept = store.is_some();
+    let mut own = if kept { Vec::new() } else { vec![0.0; ROOM * hidden] };
+    let slots = store.unwrap_or(&mut own);
+    for (group, raw) in raw.chunks_mut(ROOM).enumerate() {
+        let first = if kept { group * ROOM * hidden } else { 0 };
+        let slots = &mut slots[first..][..raw.len() * hidden];
+        for (index, slot) in slots.chunks_exact_mut(hidden).enumerate() {
+            source.at(group * ROOM + index, slot);
+        }
+        for (raw, slot) in raw.iter_mut().zip(slots.chunks_exact(hidden)) {
+            *raw = field.density_bias + dot(slot, density);
+        }
     }
 }
 
@@ -135,33 +159,55 @@ impl pulp::NullaryFnOnce for PointsOp<'_> {
 
     #[inline(always)]
     fn call(self) {
-        let Self { field, points, raw, mut store } = self;
-        let hidden = field.hidden;
-        let (bias, density) = (&field.bias[..], &field.density_weight[..]);
+        let Self { field, points, raw, store } = self;
+        let raw = &mut raw[..points.len()];
         match &*field.tables {
             Tables::PlaneAndLine(plane, line) => {
-                for (index, (point, raw)) in points.iter().zip(raw).enumerate() {
-                    let ([a, b, c, d], [wa, wb, wc, wd]) = plane.taps(point[0], point[1], hidden);
-                    let ([e, f], [we, wf]) = line.taps(point[2], hidden);
-                    let slot = slot(&mut store, index, hidden);
-                    let taps = [a, b, c, d, e, f];
-                    let weights = [wa, wb, wc, wd, we, wf];
-                    *raw = field.density_bias + head(bias, taps, weights, density, slot);
-                }
+                head(field, raw, store, &PlaneAndLinePoints { field, points, plane, line });
             }
             Tables::Triplane(planes) => {
-                for (index, (point, raw)) in points.iter().zip(raw).enumerate() {
-                    let [x, y, z] = *point;
-                    let ([a, b, c, d], [wa, wb, wc, wd]) = planes[0].taps(x, y, hidden);
-                    let ([e, f, g, h], [we, wf, wg, wh]) = planes[1].taps(x, z, hidden);
-                    let ([i, j, k, l], [wi, wj, wk, wl]) = planes[2].taps(z, y, hidden);
-                    let slot = slot(&mut store, index, hidden);
-                    let taps = [a, b, c, d, e, f, g, h, i, j, k, l];
-                    let weights = [wa, wb, wc, wd, we, wf, wg, wh, wi, wj, wk, wl];
-                    *raw = field.density_bias + head(bias, taps, weights, density, slot);
-                }
+                head(field, raw, store, &TriplanePoints { field, points, planes });
             }
         }
+    }
+}
+
+struct PlaneAndLinePoints<'a> {
+    field: &'a Field,
+    points: &'a [[f32; 3]],
+    plane: &'a Plane,
+    line: &'a Line,
+}
+
+impl HiddenValues for PlaneAndLinePoints<'_> {
+    #[inline(always)]
+    fn at(&self, index: usize, out: &mut [f32]) {
+        let hidden = self.field.hidden;
+        let [x, y, z] = self.points[index];
+        let ([a, b, c, d], [wa, wb, wc, wd]) = self.plane.taps(x, y, hidden);
+        let ([e, f], [we, wf]) = self.line.taps(z, hidden);
+        let weights = [wa, wb, wc, wd, we, wf];
+        hidden_values(&self.field.bias, [a, b, c, d, e, f], weights, out);
+    }
+}
+
+struct TriplanePoints<'a> {
+    field: &'a Field,
+    points: &'a [[f32; 3]],
+    planes: &'a [Plane; 3],
+}
+
+impl HiddenValues for TriplanePoints<'_> {
+    #[inline(always)]
+    fn at(&self, index: usize, out: &mut [f32]) {
+        let hidden = self.field.hidden;
+        let [x, y, z] = self.points[index];
+        let ([a, b, c, d], [wa, wb, wc, wd]) = self.planes[0].taps(x, y, hidden);
+        let ([e, f, g, h], [we, wf, wg, wh]) = self.planes[1].taps(x, z, hidden);
+        let ([i, j, k, l], [wi, wj, wk, wl]) = self.planes[2].taps(z, y, hidden);
+        let taps = [a, b, c, d, e, f, g, h, i, j, k, l];
+        let weights = [wa, wb, wc, wd, we, wf, wg, wh, wi, wj, wk, wl];
+        hidden_values(&self.field.bias, taps, weights, out);
     }
 }
 
@@ -180,23 +226,47 @@ impl pulp::NullaryFnOnce for ColumnOp<'_> {
 
     #[inline(always)]
     fn call(self) {
-        let Self { field, base, first, second, heights, raw, mut store } = self;
-        let (hidden, density) = (field.hidden, &field.density_weight[..]);
-        if let Some(second) = second {
-            for (index, (z, raw)) in heights.iter().zip(raw).enumerate() {
-                let ([a, b], [wa, wb]) = first.taps(*z, hidden);
-                let ([c, d], [wc, wd]) = second.taps(*z, hidden);
-                let slot = slot(&mut store, index, hidden);
-                let sum = head(base, [a, b, c, d], [wa, wb, wc, wd], density, slot);
-                *raw = field.density_bias + sum;
+        let Self { field, base, first, second, heights, raw, store } = self;
+        let hidden = field.hidden;
+        let raw = &mut raw[..heights.len()];
+        match second {
+            Some(second) => {
+                head(field, raw, store, &TwoLines { hidden, base, first, second, heights });
             }
-        } else {
-            for (index, (z, raw)) in heights.iter().zip(raw).enumerate() {
-                let (taps, weights) = first.taps(*z, hidden);
-                let slot = slot(&mut store, index, hidden);
-                *raw = field.density_bias + head(base, taps, weights, density, slot);
-            }
+            None => head(field, raw, store, &OneLine { hidden, base, line: first, heights }),
         }
+    }
+}
+
+struct OneLine<'a> {
+    hidden: usize,
+    base: &'a [f32],
+    line: &'a Line,
+    heights: &'a [f32],
+}
+
+impl HiddenValues for OneLine<'_> {
+    #[inline(always)]
+    fn at(&self, index: usize, out: &mut [f32]) {
+        let (taps, weights) = self.line.taps(self.heights[index], self.hidden);
+        hidden_values(self.base, taps, weights, out);
+    }
+}
+
+struct TwoLines<'a> {
+    hidden: usize,
+    base: &'a [f32],
+    first: &'a Line,
+    second: &'a Line,
+    heights: &'a [f32],
+}
+
+impl HiddenValues for TwoLines<'_> {
+    #[inline(always)]
+    fn at(&self, index: usize, out: &mut [f32]) {
+        let ([a, b], [wa, wb]) = self.first.taps(self.heights[index], self.hidden);
+        let ([c, d], [wc, wd]) = self.second.taps(self.heights[index], self.hidden);
+        hidden_values(self.base, [a, b, c, d], [wa, wb, wc, wd], out);
     }
 }
 

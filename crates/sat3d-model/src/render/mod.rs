@@ -14,6 +14,7 @@ mod sky;
 mod view;
 
 pub use camera::{Camera, Intrinsics, Pose, Ray};
+pub use frames::Angles;
 pub use lattice::{Border, DensityGrid, Lattice, ReferenceGrid, density_grid, reference_grid};
 pub use sky::{SkyMap, SkySeam};
 pub use view::{Dsm, View, Wanted, dsm, render};
