@@ -51,8 +51,8 @@ impl BoxCity {
                 building([-0.65, -0.4], [-0.3, 0.1], -0.55),
             ],
             steepness: 400.0,
-            gain: 1.0,
-            bias: -9.0,
+            gain: 40.0,
+            bias: -4.0,
             texels: 320,
         }
     }

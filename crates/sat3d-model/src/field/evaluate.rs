@@ -26,7 +26,10 @@ fn cell(coordinate: f32, count: usize) -> (usize, f32) {
     // Written so that NaN lands outside as well.
     if index >= -1.0 && index < size {
         let below = index.floor();
-        ((below + 1.0) as usize, index - below)
+        // Below + 1 is an integer from 0: added to 2^23 it is the low bits, which costs less than a
+        // conversion that saturates.
+        let cell = (below + 8_388_609.0).to_bits() & 0x007f_ffff;
+        (cell as usize, index - below)
     } else {
         (0, 0.0)
     }

@@ -137,13 +137,19 @@ pub(crate) fn one_minus_exp_f64(x: f64) -> f64 {
 
 /// The sum of 16 lanes in one fixed order.
 #[inline(always)]
-pub(crate) fn sum_lanes(mut lanes: [f32; LANES]) -> f32 {
-    for half in [8, 4, 2, 1] {
-        for lane in 0..half {
-            lanes[lane] += lanes[lane + half];
-        }
+pub(crate) fn sum_lanes(lanes: [f32; LANES]) -> f32 {
+    // Three arrays rather than a loop over halves: that loop would be run through memory.
+    let (mut eight, mut four, mut two) = ([0.0; 8], [0.0; 4], [0.0; 2]);
+    for lane in 0..8 {
+        eight[lane] = lanes[lane] + lanes[lane + 8];
     }
-    lanes[0]
+    for lane in 0..4 {
+        four[lane] = eight[lane] + eight[lane + 4];
+    }
+    for lane in 0..2 {
+        two[lane] = four[lane] + four[lane + 2];
+    }
+    two[0] + two[1]
 }
 
 #[cfg(test)]
