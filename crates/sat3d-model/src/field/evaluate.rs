@@ -85,11 +85,11 @@ impl Line {
 /// keep them.
 const ROOM: usize = 8;
 
-/// Hidden values of one point: softplus of `base` plus weighted texels.
+/// Hidden values of one point before the softplus: `base` plus weighted texels.
 ///
 /// One plain loop over slices of one length: that is the form which the compiler vectorises whole.
 #[inline(always)]
-fn hidden_values<const TAPS: usize>(
+fn sum_taps<const TAPS: usize>(
     base: &[f32],
     taps: [&[f32]; TAPS],
     weights: [f32; TAPS],
@@ -106,7 +106,7 @@ fn hidden_values<const TAPS: usize>(
         for tap in 0..TAPS {
             value = weights[tap].mul_add(cut[tap][index], value);
         }
-        out[index] = softplus(value);
+        out[index] = value;
     }
 }
 
@@ -123,7 +123,7 @@ fn dot(values: &[f32], weights: &[f32]) -> f32 {
     sum_lanes(sum)
 }
 
-/// Hidden values of numbered points. A trait rather than a closure, because only a method can be
+/// Hidden values of numbered points before the softplus. A trait rather than a closure, because only a method can be
 /// made to be inlined, and what is not inlined is compiled without the vector unit.
 trait HiddenValues {
     fn at(&self, index: usize, out: &mut [f32]);
@@ -143,6 +143,9 @@ fn head(field: &Field, raw: &mut [f32], store: Option<&mut [f32]>, source: &impl
         let slots = &mut slots[first..][..raw.len() * hidden];
         for (index, slot) in slots.chunks_exact_mut(hidden).enumerate() {
             source.at(group * ROOM + index, slot);
+        }
+        for value in slots.iter_mut() {
+            *value = softplus(*value);
         }
         for (raw, slot) in raw.iter_mut().zip(slots.chunks_exact(hidden)) {
             *raw = field.density_bias + dot(slot, density);
@@ -190,7 +193,7 @@ impl HiddenValues for PlaneAndLinePoints<'_> {
         let ([a, b, c, d], [wa, wb, wc, wd]) = self.plane.taps(x, y, hidden);
         let ([e, f], [we, wf]) = self.line.taps(z, hidden);
         let weights = [wa, wb, wc, wd, we, wf];
-        hidden_values(&self.field.bias, [a, b, c, d, e, f], weights, out);
+        sum_taps(&self.field.bias, [a, b, c, d, e, f], weights, out);
     }
 }
 
@@ -210,7 +213,7 @@ impl HiddenValues for TriplanePoints<'_> {
         let ([i, j, k, l], [wi, wj, wk, wl]) = self.planes[2].taps(z, y, hidden);
         let taps = [a, b, c, d, e, f, g, h, i, j, k, l];
         let weights = [wa, wb, wc, wd, we, wf, wg, wh, wi, wj, wk, wl];
-        hidden_values(&self.field.bias, taps, weights, out);
+        sum_taps(&self.field.bias, taps, weights, out);
     }
 }
 
@@ -252,7 +255,7 @@ impl HiddenValues for OneLine<'_> {
     #[inline(always)]
     fn at(&self, index: usize, out: &mut [f32]) {
         let (taps, weights) = self.line.taps(self.heights[index], self.hidden);
-        hidden_values(self.base, taps, weights, out);
+        sum_taps(self.base, taps, weights, out);
     }
 }
 
@@ -269,7 +272,7 @@ impl HiddenValues for TwoLines<'_> {
     fn at(&self, index: usize, out: &mut [f32]) {
         let ([a, b], [wa, wb]) = self.first.taps(self.heights[index], self.hidden);
         let ([c, d], [wc, wd]) = self.second.taps(self.heights[index], self.hidden);
-        hidden_values(self.base, [a, b, c, d], [wa, wb, wc, wd], out);
+        sum_taps(self.base, [a, b, c, d], [wa, wb, wc, wd], out);
     }
 }
 

@@ -181,7 +181,7 @@ fn check(inputs: &FieldInputs, head: &PointHead) -> Result<(), FieldError> {
         Representation::Triplane => 3,
     };
     let size = format!("{} x {} x {}", map.channels, map.height, map.width);
-    if map.channels == 0 || map.channels % parts != 0 {
+    if map.channels == 0 || !map.channels.is_multiple_of(parts) {
         return Err(shape("map", size, format!("a multiple of {parts} channels")));
     }
     if map.height == 0 || map.width == 0 || map.data.len() != map.channels * map.height * map.width

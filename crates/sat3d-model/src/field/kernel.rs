@@ -49,7 +49,7 @@ fn log1p_over(t: f32) -> f32 {
         .mul_add(u, -6.321_327e-4)
         .mul_add(u, 2.289_616_2e-3)
         .mul_add(u, -8.463_931e-3)
-        .mul_add(u, 0.033_152_271)
+        .mul_add(u, 0.033_152_27)
         .mul_add(u, -0.144_263_33)
         .mul_add(u, 0.810_930_2)
 }

@@ -134,10 +134,11 @@ impl ReferenceGrid {
     }
 }
 
-/// `value % modulus` for positive numbers, exactly, without a division loop: the fused multiply-add
-/// gives the remainder of a quotient that is at most one off without rounding.
+/// `value % modulus` for a positive number and a positive integer whose quotient is below 2^24, without
+/// `fmod`'s loop. The rounded quotient is at most one off, and everything else is exact: the product is an
+/// integer near `value`, the difference has no more bits than `value`.
 fn remainder(value: f32, modulus: f32) -> f32 {
-    let rest = (-(value / modulus).trunc()).mul_add(modulus, value);
+    let rest = value - (value / modulus) as u32 as f32 * modulus;
     if rest < 0.0 {
         rest + modulus
     } else if rest >= modulus {

@@ -97,7 +97,7 @@ pub fn render(
         .into_par_iter()
         .map_init(|| Rays::new(field, options), |rays, row| frame.row(row, rays))
         .collect();
-    let join = |part: fn(&Row) -> &[f32]| rows.iter().flat_map(|row| part(row)).copied().collect();
+    let join = |part: fn(&Row) -> &[f32]| rows.iter().flat_map(part).copied().collect();
     let planes = |part: fn(&Row) -> &[f32]| {
         let mut data = Vec::with_capacity(channels * width * height);
         for channel in 0..channels {
