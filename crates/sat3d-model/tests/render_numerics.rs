@@ -161,13 +161,13 @@ fn awkward_rays() {
                         let wanted = Wanted { color: true, normals: true };
                         let view = render(&field, None, &camera, &options, wanted);
                         let normals = view.normals.unwrap();
-                        for pixel in 0..9 {
+                        for (pixel, normal) in normals.iter().enumerate() {
                             let opacity = view.opacity[pixel];
                             assert!((0.0..=1.000_001).contains(&opacity), "{opacity}");
                             let solid = opacity >= 0.05;
                             missed += usize::from(opacity == 0.0);
                             assert_eq!(view.depth_spread[pixel].is_nan(), !solid);
-                            assert_eq!(normals[pixel].iter().any(|n| n.is_nan()), !solid);
+                            assert_eq!(normal.iter().any(|n| n.is_nan()), !solid);
                             if options == RenderOptions::default() {
                                 assert!(view.depth[pixel] >= 0.0, "{}", view.depth[pixel]);
                             } else {

@@ -504,3 +504,57 @@ impl Medium for Column<'_> {
         self.field.hidden
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "a test may fail")]
+    use super::*;
+    use crate::field::closed_form::BoxCity;
+    use pulp::Arch;
+
+    /// Every vector unit of this machine, and none at all.
+    fn units() -> Vec<Arch> {
+        let mut units = vec![Arch::Scalar, Arch::new()];
+        #[cfg(target_arch = "x86_64")]
+        units.extend(pulp::x86::V3::try_new().map(Arch::V3));
+        units
+    }
+
+    #[test]
+    fn every_vector_unit_gives_the_same_bytes() {
+        let (inputs, head) = BoxCity { texels: 24, ..BoxCity::example() }.inputs();
+        let field = Field::new(&inputs, &head, Some(&[0.3])).unwrap();
+        let points: Vec<[f32; 3]> = (0..500)
+            .map(|k| [7, 11, 13].map(|step| (k * step % 101) as f32 / 46.0 - 1.1))
+            .collect();
+        let bits = |arch: Arch| {
+            let field = Field { arch, ..field.clone() };
+            let (densities, colors) = field.densities_and_colors(&points);
+            let mut column = vec![0.0; 300];
+            let heights: Vec<f32> = (0..300).map(|k| k as f32 / 140.0 - 1.07).collect();
+            let tables = ColumnTables::new(&field, &[0.4]);
+            let row = tables.row(-0.5);
+            row.column(0, 0.4, &mut ColumnRoom::default()).raw_at_heights(&heights, &mut column);
+            let all = [densities, colors, column].concat();
+            all.iter().map(|value| value.to_bits()).collect::<Vec<_>>()
+        };
+        let units = units();
+        let first = bits(units[0]);
+        assert!(units[1..].iter().all(|unit| bits(*unit) == first));
+    }
+
+    #[test]
+    fn a_column_is_the_same_as_its_points() {
+        let (inputs, head) = BoxCity { texels: 24, ..BoxCity::example() }.inputs();
+        let field = Field::new(&inputs, &head, None).unwrap();
+        let heights: Vec<f32> = (0..300).map(|k| k as f32 / 140.0 - 1.07).collect();
+        let points: Vec<[f32; 3]> = heights.iter().map(|z| [0.41, -0.47, *z]).collect();
+        let mut column = vec![0.0; 300];
+        let tables = ColumnTables::new(&field, &[0.41]);
+        let row = tables.row(-0.47);
+        row.column(0, 0.41, &mut ColumnRoom::default()).raw_at_heights(&heights, &mut column);
+        for (got, want) in column.iter().zip(field.raw_densities(&points)) {
+            assert!((got - want).abs() <= 1e-5 * want.abs().max(100.0), "{got} {want}");
+        }
+    }
+}

@@ -1,4 +1,29 @@
 //! A scene: everything that is needed to render one image's field again without the network.
+//!
+//! ```
+//! use sat3d_model::Scene;
+//! use sat3d_model::field::closed_form::BoxCity;
+//! use sat3d_model::render::{Angles, Camera, Lattice, Pose, RenderOptions, Wanted};
+//! use sat3d_model::scene::SceneParts;
+//!
+//! // A made-up city; a network's scene comes from an image.
+//! let (inputs, head) = BoxCity { texels: 64, ..BoxCity::example() }.inputs();
+//! let scene = Scene::new(SceneParts { inputs, head, sky: None, metres_per_unit: 32.24 })?;
+//!
+//! let dsm = scene.dsm(64, &RenderOptions::stable());
+//! let highest = dsm.height.iter().copied().fold(0.0, f32::max);
+//! assert!((highest - 0.65).abs() < 0.01, "the tower's roof is at z = 0.3");
+//!
+//! // From the middle of the crop at street level, looking east and a little up.
+//! let angles = Angles { yaw: 90.0, pitch: -10.0, roll: 0.0 };
+//! let camera = Camera::perspective(Pose::on_crop([0.0, 0.0, -0.85], angles, 0.8));
+//! let view = scene.render(&camera, &RenderOptions::default(), Wanted { color: true, normals: false });
+//! assert_eq!((view.width, view.height), (128, 128));
+//!
+//! let grid = scene.density_grid(Lattice::pixels(64, 0.8));
+//! assert_eq!(grid.shape(), [64, 64, 80]);
+//! # Ok::<(), sat3d_model::scene::SceneError>(())
+//! ```
 
 mod file;
 
