@@ -15,9 +15,9 @@ fn field(city: &BoxCity) -> Field {
     Field::new(&inputs, &head, None).unwrap()
 }
 
-/// Depth of a column by brute force: density at 40000 heights, integrated in double precision.
+/// Depth of a column by brute force: density at 20000 heights, integrated in double precision.
 fn exact_depth(field: &Field, x: f32, y: f32) -> f64 {
-    const COUNT: usize = 40_000;
+    const COUNT: usize = 20_000;
     let width = 2.0 / COUNT as f64;
     let radius = |k: usize| (k as f64 + 0.5) * width;
     let points: Vec<[f32; 3]> = (0..COUNT).map(|k| [x, y, (1.0 - radius(k)) as f32]).collect();
@@ -34,7 +34,7 @@ fn exact_depth(field: &Field, x: f32, y: f32) -> f64 {
 
 /// Root of the mean squared error in metres, 40.3 to a cube unit.
 fn rms(field: &Field, options: &RenderOptions) -> f64 {
-    const SIZE: usize = 32;
+    const SIZE: usize = 16;
     let heights = dsm(field, SIZE, options).height;
     let mut sum = 0.0;
     for (index, height) in heights.iter().enumerate() {
