@@ -19,7 +19,7 @@ for argument in "$@"; do
     esac
 done
 
-readonly minimum_rust=1.90
+readonly minimum_rust=1.95
 readonly minimum_proj=9.0
 pure_hint="The pure-Rust build needs neither GDAL nor PROJ: cargo build --release --no-default-features
 (or PURE=1 make demo). It reads GeoTIFF in the projections that docs/ARCHITECTURE.md lists."

@@ -43,11 +43,11 @@ skip() { # name, why
 
 # Deny warnings on the command line and not in RUSTFLAGS, which would rebuild every dependency.
 stage 'format' cargo fmt --check
-stage 'lints' cargo clippy --locked --all-targets -- -D warnings
+stage 'lints' cargo clippy --locked --workspace --all-targets -- -D warnings
 stage 'lints, pure' cargo clippy --locked --all-targets --no-default-features -- -D warnings
-stage 'tests' cargo test --locked --no-fail-fast -- --show-output
+stage 'tests' cargo test --locked --workspace --no-fail-fast -- --show-output
 stage 'tests, pure' cargo test --locked --no-fail-fast --no-default-features -- --show-output
-stage 'documentation' env RUSTDOCFLAGS='-D warnings' cargo doc --locked --no-deps --document-private-items
+stage 'documentation' env RUSTDOCFLAGS='-D warnings' cargo doc --locked --workspace --no-deps --document-private-items
 if command -v cargo-deny >/dev/null; then
     stage 'licences and advisories' cargo deny --locked check
 else

@@ -6,10 +6,12 @@
 pub mod config;
 mod error;
 pub mod field;
+pub mod illumination;
 mod model;
 pub mod network;
 pub mod preprocess;
 pub mod render;
+pub mod scene;
 mod tensor;
 pub mod weights;
 
@@ -18,5 +20,6 @@ pub use error::{Mismatch, ModelError};
 pub use model::Model;
 pub use network::{Device, Network};
 pub use preprocess::Image8;
+pub use scene::Scene;
 pub use tensor::Grid;
 pub use weights::Checkpoint;

@@ -1,4 +1,21 @@
 //! The radiance field: feature maps and point head, folded so that a point costs one bilinear fetch.
+//!
+//! `net0`, the head's first layer, is linear in the sampled features, and bilinear sampling (with its
+//! zero padding) is linear in the texels. So `net0`'s weights are applied to the texels once
+//! ([`Field::new`]); its bias is added per point, because beyond the map's edge the *features* are zero,
+//! not the sums. The colour branch is two linear maps in a row, folded into one.
+//!
+//! Coordinates are those of the map frame ([`crate::render::frames`]): `[-1, 1]` in x (east), y (south)
+//! and z (up). Densities are per cube unit.
+
+pub mod closed_form;
+mod color;
+mod evaluate;
+mod fold;
+pub(crate) mod kernel;
+
+pub(crate) use evaluate::{ColumnRoom, ColumnTables, Medium, RayInField};
+pub use fold::Field;
 
 use crate::tensor::Grid;
 use serde::{Deserialize, Serialize};
@@ -64,4 +81,48 @@ pub struct FieldInputs {
     pub activation: DensityActivation,
     /// `position_scale_factor`: the crop covers x and y in [-s, s].
     pub scale: f32,
+}
+
+impl DensityActivation {
+    /// Volume density (per cube unit) of a raw density.
+    #[inline(always)]
+    #[must_use]
+    pub fn apply(self, raw: f32) -> f32 {
+        match self {
+            Self::Mipnerf => kernel::softplus(raw - 1.0),
+            Self::Relu => {
+                let shifted = raw + 3.0;
+                if shifted > 0.0 { shifted } else { 0.0 }
+            }
+        }
+    }
+}
+
+/// Why feature maps and a point head do not make a field.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum FieldError {
+    /// A tensor's shape does not fit the others.
+    #[error("{tensor}: {found} where {expected} is needed")]
+    Shape {
+        /// Which tensor.
+        tensor: &'static str,
+        /// What it has.
+        found: String,
+        /// What the field needs.
+        expected: String,
+    },
+    /// A tensor holds an infinity or NaN.
+    #[error("{tensor} holds the value {value} at index {index}; every value must be finite")]
+    NotFinite {
+        /// Which tensor.
+        tensor: &'static str,
+        /// Flat index of the first such value.
+        index: usize,
+        /// The value.
+        value: f32,
+    },
+    /// The position scale factor is not in (0, 1].
+    #[error("a position scale factor of {0} (it must be above 0 and at most 1)")]
+    Scale(f32),
 }

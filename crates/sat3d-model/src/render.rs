@@ -1,1 +1,0 @@
-//! Rays through the field: satellite view, panorama, perspective, density grid.
