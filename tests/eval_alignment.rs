@@ -8,7 +8,7 @@
 use sat3d::eval::align::{
     AlignError, AlignSettings, Aligner, Alignment, AlignmentFlag, Shift, align, apply,
 };
-use sat3d::eval::{OffsetMethod, Protocol, Surface};
+use sat3d::eval::{OffsetMethod, Protocol, Resize, Surface, resize};
 use sat3d::random::{Draw, key, normal};
 use sat3d::raster::npz;
 use std::path::{Path, PathBuf};
@@ -36,31 +36,6 @@ fn folder(test: &str, variable: &str, default: &str, inside: &str) -> Option<Pat
     }
     eprintln!("SKIPPED {test}: no {inside} in {} (set {variable})", folder.display());
     None
-}
-
-/// Bilinear resampling without antialiasing, with the roundings of `cv2.resize`: across, then down,
-/// `a + (b - a) * w` in 32 bits. One of the pairs has two shifts that tie within 0.1 %, and other
-/// roundings turn it.
-fn resize(values: &[f32], from: usize, to: usize) -> Vec<f32> {
-    let taps: Vec<(usize, usize, f32)> = (0..to)
-        .map(|i| {
-            let at = (i as f64 + 0.5) * from as f64 / to as f64 - 0.5;
-            let first = (at.floor().max(0.0) as usize).min(from - 1);
-            (first, (first + 1).min(from - 1), (at - first as f64).clamp(0.0, 1.0) as f32)
-        })
-        .collect();
-    let mut out = Vec::with_capacity(to * to);
-    for &(top, bottom, down) in &taps {
-        for &(left, right, across) in &taps {
-            let line = |row: usize| {
-                let (a, b) = (values[row * from + left], values[row * from + right]);
-                a + (b - a) * across
-            };
-            let (upper, lower) = (line(top), line(bottom));
-            out.push(upper + (lower - upper) * down);
-        }
-    }
-    out
 }
 
 /// Mean absolute and root mean square error and the number of pixels.
@@ -161,7 +136,8 @@ fn golden_pair(folder: &Path, name: &str) -> (Surface, Surface) {
     let prediction = npz::read_one(&folder.join(format!("pred/{name}.npz")), "arr_0").unwrap();
     let truth = npz::read_one(&folder.join(format!("gt/{name}_dsm.npz")), "dsm").unwrap();
     let scaled = prediction.to_f32().iter().map(|v| v * 64.48).collect();
-    (Surface::new(256, 256, scaled), Surface::new(256, 256, resize(&truth.to_f32(), 640, 256)))
+    let truth = Surface::new(640, 640, truth.into_f32());
+    (Surface::new(256, 256, scaled), resize(&truth, 256, 256, Resize::Reference))
 }
 
 /// First band of an uncompressed 16-bit TIFF in strips, placed in the north-west of a square.

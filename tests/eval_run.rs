@@ -332,6 +332,22 @@ fn nothing_is_dropped_in_silence() {
     for part in ["no prediction", "no ground truth", "no pixel has a height", "arr_0", "damaged"] {
         assert!(reasons.iter().any(|r| r.contains(part)), "{part}: {reasons:?}");
     }
+    let (csv, parquet) =
+        (folder.path().join("out/images.csv"), folder.path().join("images.parquet"));
+    let report = folder.path().join("report.html");
+    run(
+        sat3d()
+            .args(arguments)
+            .args(["--csv", text(&csv), "--parquet", text(&parquet)])
+            .args(["--report", text(&report)]),
+        1,
+    );
+    let lines = std::fs::read_to_string(&csv).unwrap();
+    assert_eq!(lines.lines().count(), 1 + 7, "a header and a row per image:\n{lines}");
+    assert_eq!(lines.matches(",failed,").count(), 4, "{lines}");
+    assert!(std::fs::read(&parquet).unwrap().starts_with(b"PAR1"));
+    let page = std::fs::read_to_string(&report).unwrap();
+    assert!(page.contains("1 of 7") && page.contains("data:image/png;base64,"));
     let row = |k: usize| {
         let rows = found["per_image"].as_array().unwrap();
         rows.iter().find(|row| row["name"] == name(k).as_str()).unwrap()

@@ -122,6 +122,7 @@ pub fn prepare(options: EvalOptions) -> Result<Prepared, EvalError> {
 }
 
 /// Why one image was not scored: for the count of reasons, and in full.
+#[derive(Clone)]
 struct NotScored {
     status: Status,
     kind: String,
@@ -297,11 +298,7 @@ impl Prepared {
         let mut items = Vec::new();
         for set in 0..self.options.predictions.len() {
             let loaded = match &truth {
-                Err(not) => Err(NotScored {
-                    status: not.status,
-                    kind: not.kind.clone(),
-                    reason: not.reason.clone(),
-                }),
+                Err(not) => Err(not.clone()),
                 Ok(truth) => self.load(pair, set, truth),
             };
             let truth = truth.as_ref().ok();
@@ -314,11 +311,7 @@ impl Prepared {
             };
             for &protocol in &self.options.protocols {
                 let scored = match &loaded {
-                    Err(not) => Err(NotScored {
-                        status: not.status,
-                        kind: not.kind.clone(),
-                        reason: not.reason.clone(),
-                    }),
+                    Err(not) => Err(not.clone()),
                     Ok(loaded) => self.score(pair, protocol, loaded, aligner),
                 };
                 if let (Ok(scored), Some(truth), Some(folder)) =
