@@ -8,8 +8,13 @@ pub mod batch;
 pub mod crs;
 pub mod dsm_bench;
 pub mod eval;
+pub mod footprint;
 pub mod grid;
+pub mod illumination;
+pub mod infer;
 pub mod lidar;
+pub mod mesh_file;
+pub mod picture;
 pub mod plan;
 pub mod random;
 pub mod raster;
@@ -18,4 +23,10 @@ pub mod scene;
 pub mod stac;
 pub mod table;
 pub mod units;
+pub mod views;
 pub mod vigor;
+pub mod volume;
+pub mod weights;
+
+/// The network, its radiance field and what is rendered from it.
+pub use sat3d_model as model;

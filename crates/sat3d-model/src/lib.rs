@@ -7,6 +7,7 @@ pub mod config;
 mod error;
 pub mod field;
 pub mod illumination;
+pub mod mesh;
 mod model;
 pub mod network;
 pub mod preprocess;

@@ -1,0 +1,1 @@
+//! Inference over one image or a batch: DSM, mesh, views.

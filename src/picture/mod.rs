@@ -1,0 +1,1 @@
+//! Satellite pictures: RGB pixels in windows, and where on Earth they lie.

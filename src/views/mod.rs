@@ -1,0 +1,1 @@
+//! Views of a scene as pictures: cameras, paths, frames, animations.

@@ -1,0 +1,1 @@
+//! Density volumes as files: npy and Zarr.
