@@ -60,13 +60,9 @@ def tokens():
 
 
 def planes(features):
-    unet_forward, unet_model = unet.decoder(features), model.unet_model
-    # The split into plane and line is the model's own.
-    model.unet_model = lambda _: unet_forward
-    try:
-        return torch.nn.Module.__getattribute__(model, "from_sat_to_triplane")(None)
-    finally:
-        model.unet_model = unet_model
+    # As `from_sat_to_triplane` splits the decoder's output.
+    output, dim = unet.decoder(features), model.opt.network.triplane.dim
+    return [output[:, None, :dim], output[:, dim:].mean(dim=2)]
 
 
 def view(field, sky, **wanted):
