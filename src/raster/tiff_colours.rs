@@ -3,7 +3,7 @@
 use super::header::Rectangle;
 use super::tiff_codec::{BandReader, Run, check_supported};
 use super::tiff_directory::{TiffFile, TiffImage};
-use super::{OpenOptions, RasterError, RasterHeader, RasterReader, TiffReader};
+use super::{OpenOptions, RasterError, RasterHeader, RasterReader, TiffReader, beside};
 use std::fs::File;
 
 /// What the samples of a pixel are.
@@ -11,7 +11,7 @@ use std::fs::File;
 enum Colours {
     /// One sample, taken for all three; the other way round where 0 is white.
     Shade { white_is_zero: bool },
-    /// One sample, a number of the palette.
+    /// The first sample, a number of the palette.
     Palette(Vec<[u8; 3]>),
     /// The bands that hold red, green and blue.
     Rgb([usize; 3]),
@@ -46,6 +46,15 @@ impl TiffColours {
                  COMPRESS=DEFLATE in.tif out.tif), or use a build with GDAL"
             ))
         })?;
+        let auxiliary = std::fs::read(beside(path, ".aux.xml")).unwrap_or_default();
+        let auxiliary = String::from_utf8_lossy(&auxiliary);
+        if ["<ColorTable", "<ColorInterp"].iter().any(|element| auxiliary.contains(element)) {
+            return Err(unreadable(
+                "has a side file (.aux.xml) that changes its colours, which this build does not read; write it \
+                 into the raster (gdal_translate in.tif out.tif), or use a build with GDAL"
+                    .to_owned(),
+            ));
+        }
         let (colours, warning) = colours(&tiff).map_err(unreadable)?;
         let mut header = TiffReader::open(path, options)?.header().clone();
         header.warnings.extend(warning);
@@ -165,9 +174,12 @@ fn colours(tiff: &TiffFile) -> Result<(Colours, Option<String>), String> {
     {
         return Ok((Colours::Rgb([red, green, blue]), None));
     }
+    // As GDAL has it, a palette counts whatever the photometric tag says.
+    if image.samples == 1 && !tiff.colour_map.is_empty() {
+        return Ok((Colours::Palette(palette(&tiff.colour_map)), None));
+    }
     match image.photometric {
         2 if image.samples >= 3 => Ok((Colours::Rgb([0, 1, 2]), None)),
-        3 => Ok((Colours::Palette(palette(&tiff.colour_map)), None)),
         0 | 1 if plain >= 3 => Ok((Colours::Rgb([0, 1, 2]), Some(UNNAMED.to_owned()))),
         kind @ (0 | 1) => Ok((Colours::Shade { white_is_zero: kind == 0 }, None)),
         other => Err(format!(
