@@ -4,7 +4,9 @@ pictures.py FOLDER writes NAME and NAME.rgb (rows from the top, three bytes a pi
 line for each: NAME, columns, rows.
 """
 
+import shutil
 import struct
+import subprocess
 import sys
 import warnings
 import zlib
@@ -220,8 +222,12 @@ def tiffs():
     for kind, more in {"ycbcr": dict(photometric="YCBCR"), "rgb": dict(photometric="RGB")}.items():
         name = f"gdal_jpeg_{kind}.tif"
         tiff(name, bands[:3], compress="jpeg", tiled=True, blockxsize=64, blockysize=64, **more)
-        with rasterio.open(folder / name) as source:
-            put(name, np.moveaxis(source.read(), 0, -1))
+        # JPEG libraries differ in how they enlarge colours: read it with the library that sat3d links.
+        raw = folder / "jpeg.raw"
+        options = ["-q", "-of", "ENVI", "-co", "INTERLEAVE=BIP"]
+        if shutil.which("gdal_translate"):
+            subprocess.run(["gdal_translate", *options, folder / name, raw], check=True)
+            put(name, np.fromfile(raw, np.uint8).reshape(211, 307, 3))
     copy(folder / "tiles_deflate.tif", folder / "cog.tif", driver="COG", compress="deflate", blocksize=128)
     put("cog.tif", rgb)
     copy(folder / "tiles_deflate.tif", folder / "gdal.vrt", driver="VRT")
