@@ -77,7 +77,9 @@ fn pictures_are_what_pillow_and_gdal_read() {
     let listing = run(python, script, &[folder.path()]);
     let mut counts = [0; 3];
     for line in listing.lines() {
-        let [name, width, height] = line.split(' ').collect::<Vec<_>>()[..] else { panic!("{line}") };
+        let [name, width, height] = line.split(' ').collect::<Vec<_>>()[..] else {
+            panic!("{line}")
+        };
         if name.starts_with("gdal") && cfg!(not(feature = "gdal")) {
             let error = open(&folder.path().join(name)).unwrap_err().to_string();
             assert!(error.contains("GDAL"), "{error}");
@@ -113,6 +115,40 @@ fn pictures_are_what_pillow_and_gdal_read() {
         assert_eq!(warned, name == "unnamed.tif", "{name}: {:?}", picture.warnings());
     }
     assert!(counts[0] >= 100 && counts[1] >= 100 && counts[2] >= 40, "{counts:?}");
+}
+
+#[test]
+fn real_images_are_what_pillow_reads() {
+    let test = "real_images_are_what_pillow_reads";
+    let data = std::env::var_os("SAT3D_TEST_DATA").map_or_else(
+        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
+        std::path::PathBuf::from,
+    );
+    let images = data.join("images");
+    if !images.is_dir() {
+        skipped(test, &format!("no test data at {} (set SAT3D_TEST_DATA)", data.display()));
+        return;
+    }
+    let Some(python) = python(test, "PIL, numpy") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let script = "
+import sys, numpy as np
+from pathlib import Path
+from PIL import Image
+for path in sorted(Path(sys.argv[1]).iterdir()):
+    if path.suffix in ['.png', '.jpg']:
+        rgb = np.asarray(Image.open(path).convert('RGB'))
+        (Path(sys.argv[2]) / (path.name + '.rgb')).write_bytes(rgb.tobytes())
+        print(path.name)
+";
+    let listing = run(python, script, &[&images, folder.path()]);
+    assert!(listing.lines().count() >= 8, "{listing}");
+    for name in listing.lines() {
+        let mut picture = open(&images.join(name)).unwrap();
+        let expected = std::fs::read(folder.path().join(format!("{name}.rgb"))).unwrap();
+        assert!(picture.read().unwrap().data == expected, "{name}");
+        assert_eq!(picture.place().is_some(), name.starts_with("satellite_"), "{name}");
+    }
 }
 
 fn noise(width: usize, height: usize, channels: usize, seed: u32) -> Image8 {
@@ -310,7 +346,10 @@ write('strip', np.ones((3, 3000, 300), np.uint8), compress='deflate', blockysize
     run(python, script, &[folder.path()]);
     let at = |name: &str| folder.path().join(format!("{name}.tif"));
     let error = unreadable(&at("reflectance"));
-    assert!(error.contains("UInt16") && error.contains("gdal_translate -ot Byte -scale"), "{error}");
+    assert!(
+        error.contains("UInt16") && error.contains("gdal_translate -ot Byte -scale"),
+        "{error}"
+    );
     assert!(unreadable(&at("height")).contains("Float32"));
     assert!(unreadable(&at("bits")).contains("4 bits"));
     let bytes = std::fs::read(at("cut")).unwrap();
@@ -385,8 +424,12 @@ fn side_files_place_a_picture() {
     );
     std::fs::write(folder.path().join("a.png.aux.xml"), text).unwrap();
     let error = open(&path).unwrap().footprint(None).unwrap_err().to_string();
-    assert!(error.contains("rotated") && error.contains("0.1") && error.contains("a.png"), "{error}");
-    std::fs::write(folder.path().join("a.png.aux.xml"), "<GeoTransform>1, 2</GeoTransform>").unwrap();
+    assert!(
+        error.contains("rotated") && error.contains("0.1") && error.contains("a.png"),
+        "{error}"
+    );
+    std::fs::write(folder.path().join("a.png.aux.xml"), "<GeoTransform>1, 2</GeoTransform>")
+        .unwrap();
     let error = open(&path).unwrap_err().to_string();
     assert!(error.contains("`1, 2` in place of six numbers"), "{error}");
 }
@@ -472,13 +515,20 @@ fn a_web_mercator_raster_is_the_image_that_a_name_states() {
 fn places_that_cannot_be_are_refused() {
     use sat3d::crs::CrsSpec;
     let refused = |epsg, grid| {
-        let place = Place::Raster { geotransform: GeoTransform(grid), crs: CrsSpec::from_epsg(epsg) };
+        let place =
+            Place::Raster { geotransform: GeoTransform(grid), crs: CrsSpec::from_epsg(epsg) };
         Footprint::of_place([10, 10], place).unwrap_err()
     };
     let rotated = refused(32610, [5e5, 0.5, 0.1, 5e6, 0.1, -0.5]);
     assert!(matches!(&rotated, FootprintError::Grid { reason } if reason.contains("rotated")));
     let mirrored = refused(32610, [5e5, 0.5, 0.0, 5e6, 0.0, 0.5]);
     assert!(matches!(&mirrored, FootprintError::Grid { reason } if reason.contains("south up")));
-    assert!(matches!(refused(32610, [f64::NAN, 0.5, 0.0, 5e6, 0.0, -0.5]), FootprintError::Grid { .. }));
-    assert!(matches!(refused(4326, [500.0, 0.1, 0.0, 47.0, 0.0, -0.1]), FootprintError::OffEarth { .. }));
+    assert!(matches!(
+        refused(32610, [f64::NAN, 0.5, 0.0, 5e6, 0.0, -0.5]),
+        FootprintError::Grid { .. }
+    ));
+    assert!(matches!(
+        refused(4326, [500.0, 0.1, 0.0, 47.0, 0.0, -0.1]),
+        FootprintError::OffEarth { .. }
+    ));
 }

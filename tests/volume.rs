@@ -191,14 +191,19 @@ assert np.array_equal(values, (x * 1e4 + y * 1e2 + z + 0.25).astype(np.float32))
 fn numpy_reads_a_grid_and_its_coordinates() {
     let test = "numpy_reads_a_grid_and_its_coordinates";
     let folder = tempfile::tempdir().unwrap();
-    let lattice = Lattice { x: vec![-0.5, 0.5], y: vec![-0.6, 0.0, 0.6], z: vec![0.0, 0.25, 0.5, 0.75] };
+    let lattice =
+        Lattice { x: vec![-0.5, 0.5], y: vec![-0.6, 0.0, 0.6], z: vec![0.0, 0.25, 0.5, 0.75] };
     let values = region([0; 3], [2, 3, 4], value);
     let grid = DensityGrid { lattice, values: values.clone() };
     let axes = Axes::local(&grid.lattice, [40.0, 20.0, 10.0]);
     assert_eq!(axes.x, [-20.0, 20.0]);
     assert_eq!(axes.z, [0.0, 2.5, 5.0, 7.5]);
     // y of the cube runs south; a float32 of 0.6 is not 0.6.
-    assert!((axes.y[0] - 12.0).abs() < 1e-5 && axes.y[1].to_bits() == 0 && (axes.y[2] + 12.0).abs() < 1e-5);
+    assert!(
+        (axes.y[0] - 12.0).abs() < 1e-5
+            && axes.y[1].to_bits() == 0
+            && (axes.y[2] + 12.0).abs() < 1e-5
+    );
     let bytes = npy(&grid);
     let tail: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
     assert!(bytes.starts_with(b"\x93NUMPY\x01\0") && bytes.ends_with(&tail));
@@ -278,7 +283,8 @@ fn a_volume_appears_whole_or_not_at_all() {
         volume.finish().unwrap();
         assert_eq!(entries(), 1, "the second replaces the first");
     }
-    let reopened = ZarrVolume::resume(&folder.path().join("w.zarr"), &path, local([2; 3], [2; 3])).unwrap();
+    let reopened =
+        ZarrVolume::resume(&folder.path().join("w.zarr"), &path, local([2; 3], [2; 3])).unwrap();
     assert_eq!(reopened.read_region([0; 3], [2; 3]).unwrap(), [2.0; 8]);
 
     let other = folder.path().join("other");
@@ -325,7 +331,9 @@ fn regions_and_descriptions_that_do_not_fit_are_refused() {
     assert!(volume.write_region([0; 3], [1, 1, 2], &[0.0; 3]).is_err());
     assert!(volume.write_region([usize::MAX, 0, 0], [2, 1, 1], &[0.0; 2]).is_err());
     assert!(volume.write_region([0; 3], [0, 1, 1], &[]).is_ok());
-    for (shape, chunk) in [([0, 1, 1], [1; 3]), ([1; 3], [0, 1, 1]), ([1; 3], [1 << 20, 1 << 20, 1])] {
+    for (shape, chunk) in
+        [([0, 1, 1], [1; 3]), ([1; 3], [0, 1, 1]), ([1; 3], [1 << 20, 1 << 20, 1])]
+    {
         let error = ZarrVolume::create(&path, local(shape, chunk)).unwrap_err();
         assert!(matches!(error, VolumeError::Description { .. }), "{error}");
     }

@@ -58,13 +58,8 @@ impl GdalColours {
     ///
     /// # Errors
     /// [`RasterError::Block`] naming the block that could not be read.
-    pub(crate) fn read(
-        &mut self,
-        rectangle: Rectangle,
-        out: &mut [u8],
-    ) -> Result<(), RasterError> {
-        let (width, height) =
-            (self.header.block_width as usize, self.header.block_height as usize);
+    pub(crate) fn read(&mut self, rectangle: Rectangle, out: &mut [u8]) -> Result<(), RasterError> {
+        let (width, height) = (self.header.block_width as usize, self.header.block_height as usize);
         let (right, bottom) = (rectangle.x + rectangle.width, rectangle.y + rectangle.height);
         // Block by block, so that the bands of one block come out of GDAL's cache.
         for by in rectangle.y / height..bottom.div_ceil(height) {

@@ -106,9 +106,8 @@ impl ZarrVolume {
 
     fn check(&self) -> Result<(), VolumeError> {
         let VolumeDescription { axes, chunk, frame, metres_per_unit, .. } = &self.description;
-        let wrong = |reason: String| {
-            Err(VolumeError::Description { path: self.target.clone(), reason })
-        };
+        let wrong =
+            |reason: String| Err(VolumeError::Description { path: self.target.clone(), reason });
         let points = |sizes: &[usize; 3]| sizes.iter().try_fold(1_usize, |n, s| n.checked_mul(*s));
         if axes.shape().contains(&0) {
             return wrong(format!("it has {:?} points", axes.shape()));
@@ -217,8 +216,9 @@ impl ZarrVolume {
                     let index = [i, j, k];
                     let first: [usize; 3] =
                         std::array::from_fn(|a| (index[a] * chunk[a]).max(start[a]));
-                    let end: [usize; 3] =
-                        std::array::from_fn(|a| ((index[a] + 1) * chunk[a]).min(start[a] + size[a]));
+                    let end: [usize; 3] = std::array::from_fn(|a| {
+                        ((index[a] + 1) * chunk[a]).min(start[a] + size[a])
+                    });
                     parts.push(Part { index, first, end });
                 }
             }

@@ -6,64 +6,16 @@
 //! which is what cameras, tile servers and programs write.
 
 mod bits;
+mod component;
 mod scan;
 mod transform;
 
 use super::source::RowSource;
 use bits::{Bits, HuffmanTable, Reason};
+use component::{ColourNotes, Component};
 use scan::{Band, Memory, ZIGZAG};
 use std::fs::File;
 use transform::Upsample;
-
-/// One colour component of the picture.
-#[derive(Clone, Debug)]
-struct Component {
-    id: u8,
-    /// Blocks of one unit of the scan, across and down.
-    across: usize,
-    down: usize,
-    /// Its quantisation table, by number, and taken over when its first scan begins.
-    table: usize,
-    quantisation: Option<[u16; 64]>,
-    /// Samples that belong to the picture.
-    width: usize,
-    height: usize,
-    /// Blocks in a row and rows of blocks, with those that fill up the last units.
-    blocks: [usize; 2],
-    upsample: Upsample,
-    /// The component's rows per row of the picture, inverted.
-    rows_per_row: usize,
-    /// Coefficients of all blocks, where they do not come in the order of the rows.
-    coefficients: Vec<[i16; 64]>,
-    /// Samples of the rows from `first_row` on.
-    samples: Vec<u8>,
-    first_row: usize,
-}
-
-impl Component {
-    fn stride(&self) -> usize {
-        self.blocks[0] * 8
-    }
-
-    fn rows(&self) -> usize {
-        self.first_row + self.samples.len() / self.stride()
-    }
-
-    fn row(&self, row: usize) -> &[u8] {
-        &self.samples[(row - self.first_row) * self.stride()..][..self.width]
-    }
-
-    /// The row that a picture's row lies in, the nearer of its neighbours, and whether that is below.
-    fn rows_of(&self, y: usize) -> (usize, usize, bool) {
-        let near = y / self.rows_per_row;
-        let below = y % self.rows_per_row > 0;
-        if !self.upsample.looks_around() {
-            return (near, near, below);
-        }
-        let far = if below { (near + 1).min(self.height - 1) } else { near.saturating_sub(1) };
-        (near, far, below)
-    }
-}
 
 /// What a scan's header says: the components with their constant and other codes, and the band.
 #[derive(Clone, Debug)]
@@ -574,33 +526,5 @@ impl RowSource for JpegRows {
         }
         (self.unit_row, self.next_row) = (0, 0);
         true
-    }
-}
-
-/// What the file says about its colours.
-#[derive(Debug, Default)]
-struct ColourNotes {
-    jfif: bool,
-    /// The transform that Adobe's segment states.
-    adobe: Option<u8>,
-}
-
-impl ColourNotes {
-    fn segment(&mut self, marker: u8, data: &[u8]) {
-        if marker == 0xE0 && data.starts_with(b"JFIF\0") {
-            self.jfif = true;
-        }
-        if marker == 0xEE && data.starts_with(b"Adobe") {
-            self.adobe = data.get(11).copied();
-        }
-    }
-
-    /// Whether three components are RGB and not luminance and two colour differences.
-    fn is_rgb(&self, components: &[Component]) -> bool {
-        match (self.jfif, self.adobe) {
-            (true, _) => false,
-            (false, Some(transform)) => transform == 0,
-            (false, None) => components.iter().map(|c| c.id).eq(*b"RGB"),
-        }
     }
 }
