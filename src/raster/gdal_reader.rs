@@ -403,7 +403,7 @@ fn subdatasets(dataset: &Dataset) -> String {
 }
 
 /// GDAL's own words.
-fn explain(error: &GdalError) -> String {
+pub(super) fn explain(error: &GdalError) -> String {
     match error {
         GdalError::CplError { msg, .. } | GdalError::NullPointer { msg, .. } if !msg.is_empty() => {
             msg.clone()

@@ -6,6 +6,8 @@
 
 pub mod colour;
 #[cfg(feature = "gdal")]
+mod gdal_colours;
+#[cfg(feature = "gdal")]
 mod gdal_reader;
 #[cfg(feature = "gdal")]
 mod gdal_setup;
@@ -15,6 +17,7 @@ mod list;
 pub mod preview;
 mod sample;
 mod tiff_codec;
+mod tiff_colours;
 mod tiff_directory;
 mod tiff_reader;
 mod vertical_unit;
@@ -24,9 +27,14 @@ pub use gdal_reader::GdalReader;
 pub use list::list_tiles;
 pub use sample::UndeclaredNodata;
 pub use tiff_reader::TiffReader;
+pub(crate) use tiff_reader::{beside, world_file};
 
 #[cfg(feature = "gdal")]
+pub(crate) use gdal_colours::GdalColours;
+#[cfg(feature = "gdal")]
 pub(crate) use gdal_setup::limit_gdal_cache;
+pub(crate) use header::Rectangle;
+pub(crate) use tiff_colours::TiffColours;
 
 pub mod deflate;
 pub mod npz;

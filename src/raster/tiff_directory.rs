@@ -45,6 +45,8 @@ pub(super) struct TiffImage {
     pub(super) counts: Vec<u64>,
     pub(super) extra_samples: Vec<u16>,
     pub(super) fill_order: u16,
+    /// 0 and 1 shades, 2 RGB, 3 a palette.
+    pub(super) photometric: u16,
     pub(super) big_endian: bool,
 }
 
@@ -139,6 +141,8 @@ pub(super) struct TiffFile {
     /// Reduced-size images in the same file.
     pub(super) overviews: u32,
     pub(super) nodata: Option<f64>,
+    /// The palette: all reds, all greens, all blues, of 16 bits.
+    pub(super) colour_map: Vec<u16>,
     /// Items of GDAL's metadata tag.
     pub(super) items: Vec<MetadataItem>,
     pub(super) geo_keys: Option<GeoKeys>,
@@ -220,6 +224,7 @@ impl TiffFile {
         let image = read_image(tags, big_endian)?;
         let items = text(tags, GDAL_METADATA).map_or_else(Vec::new, |xml| parse_metadata(&xml));
         let nodata = text(tags, Tag::GdalNodata).and_then(|text| parse_nodata(&text));
+        let colour_map = tags.find_tag_unsigned_vec::<u16>(Tag::ColorMap)?.unwrap_or_default();
         let directory = tags.find_tag_unsigned_vec::<u16>(Tag::GeoKeyDirectoryTag)?;
         let geo_keys = directory.map(|directory| GeoKeys {
             directory,
@@ -239,6 +244,7 @@ impl TiffFile {
             mask: None,
             overviews: 0,
             nodata,
+            colour_map,
             items,
             geo_keys,
             control_points: geotransform.is_none() && tiepoints.len() >= 6,
@@ -314,6 +320,7 @@ fn read_image(tags: &mut IfdDecoder<'_>, big_endian: bool) -> Result<TiffImage, 
         counts: counts.unwrap_or_default(),
         extra_samples: tags.find_tag_unsigned_vec::<u16>(Tag::ExtraSamples)?.unwrap_or_default(),
         fill_order: small(tags, Tag::FillOrder, 1)?,
+        photometric: small(tags, Tag::PhotometricInterpretation, 1)?,
         big_endian,
     };
     let inconsistent =

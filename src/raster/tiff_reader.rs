@@ -215,7 +215,7 @@ fn describe(
     Found {
         width: image.width,
         height: image.height,
-        geotransform: tiff.geotransform.or_else(|| world_file(path)),
+        geotransform: tiff.geotransform.or_else(|| world_file(path, &WORLD_FILES)),
         crs,
         sample_type,
         nodata: tiff.nodata,
@@ -290,7 +290,7 @@ fn unsupported(what: &str) -> String {
 }
 
 /// The path with something put behind its whole name.
-fn beside(path: &Path, suffix: &str) -> PathBuf {
+pub(crate) fn beside(path: &Path, suffix: &str) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(suffix);
     PathBuf::from(name)
@@ -338,11 +338,14 @@ fn refuse_side_files(path: &Path, nodata: Option<f64>) -> Result<(), RasterError
     Ok(())
 }
 
+/// Extensions of a TIFF's world file.
+const WORLD_FILES: [&str; 6] = ["tfw", "tifw", "wld", "TFW", "TIFW", "WLD"];
+
 /// The grid of a world file beside the raster: six lines, for the centre of the first pixel.
-fn world_file(path: &Path) -> Option<GeoTransform> {
-    let text = ["tfw", "tifw", "wld", "TFW", "TIFW", "WLD"]
-        .into_iter()
-        .find_map(|extension| std::fs::read_to_string(path.with_extension(extension)).ok())?;
+pub(crate) fn world_file(path: &Path, extensions: &[impl AsRef<str>]) -> Option<GeoTransform> {
+    let text = extensions.iter().find_map(|extension| {
+        std::fs::read_to_string(path.with_extension(extension.as_ref())).ok()
+    })?;
     let values: Vec<f64> =
         text.split_whitespace().map(|v| v.parse().ok()).collect::<Option<_>>()?;
     let [a, d, b, e, c, f] = values.get(..6)?.try_into().ok()?;

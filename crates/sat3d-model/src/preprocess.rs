@@ -50,10 +50,13 @@ impl Image8 {
     }
 }
 
-/// The taps of one output pixel: the first source pixel and one fixed-point weight per pixel.
-struct Taps {
-    first: usize,
-    weights: Vec<i32>,
+/// The taps of one output pixel of [`resize_bicubic`] along one axis.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Taps {
+    /// The first source pixel.
+    pub first: usize,
+    /// One weight for it and each that follows, in units of 2^-22.
+    pub weights: Vec<i32>,
 }
 
 /// Cubic convolution kernel with a = -0.5 (Keys 1981), the factors in Pillow's order.
@@ -69,8 +72,10 @@ fn cubic(x: f64) -> f64 {
     }
 }
 
-/// Taps for resizing `source` pixels to `target`; the kernel widens when the image shrinks.
-fn taps(source: usize, target: usize) -> Vec<Taps> {
+/// Taps for resizing `source` pixels to `target`; the kernel widens when the image shrinks. First pixels
+/// and last pixels both never step back from one output pixel to the next.
+#[must_use]
+pub fn bicubic_taps(source: usize, target: usize) -> Vec<Taps> {
     let scale = source as f64 / target as f64;
     let filter_scale = scale.max(1.0);
     let support = 2.0 * filter_scale;
@@ -104,41 +109,55 @@ fn clip(sum: i32) -> u8 {
 
 const HALF: i32 = 1 << (PRECISION_BITS - 1);
 
+/// Resizes one row of pixels, as the first pass of [`resize_bicubic`] does: `out` has `taps.len()` pixels.
+///
+/// # Panics
+/// When `source` or `out` is shorter than the taps want.
+pub fn resize_row(source: &[u8], channels: usize, taps: &[Taps], out: &mut [u8]) {
+    for (pixel, taps) in out.chunks_exact_mut(channels).zip(taps) {
+        let span = &source[taps.first * channels..];
+        for (channel, value) in pixel.iter_mut().enumerate() {
+            let mut sum = HALF;
+            for (tap, &weight) in taps.weights.iter().enumerate() {
+                sum += i32::from(span[tap * channels + channel]) * weight;
+            }
+            *value = clip(sum);
+        }
+    }
+}
+
+/// One output row of the second pass of [`resize_bicubic`]: the rows that its taps name, from the first on,
+/// each times its weight.
+pub fn blend_rows<'a>(rows: impl Iterator<Item = &'a [u8]>, weights: &[i32], out: &mut [u8]) {
+    let mut sums = vec![HALF; out.len()];
+    for (row, &weight) in rows.zip(weights) {
+        for (sum, &value) in sums.iter_mut().zip(row) {
+            *sum += i32::from(value) * weight;
+        }
+    }
+    for (value, sum) in out.iter_mut().zip(sums) {
+        *value = clip(sum);
+    }
+}
+
 fn horizontal(image: &Image8, width: usize) -> Image8 {
-    let taps = taps(image.width, width);
+    let taps = bicubic_taps(image.width, width);
     let channels = image.channels;
     let mut data = vec![0; width * image.height * channels];
     data.par_chunks_mut(width * channels).enumerate().for_each(|(row, out)| {
         let source = &image.data[row * image.width * channels..][..image.width * channels];
-        for (pixel, taps) in out.chunks_exact_mut(channels).zip(&taps) {
-            let span = &source[taps.first * channels..];
-            for (channel, value) in pixel.iter_mut().enumerate() {
-                let mut sum = HALF;
-                for (tap, &weight) in taps.weights.iter().enumerate() {
-                    sum += i32::from(span[tap * channels + channel]) * weight;
-                }
-                *value = clip(sum);
-            }
-        }
+        resize_row(source, channels, &taps, out);
     });
     Image8 { width, height: image.height, channels, data }
 }
 
 fn vertical(image: &Image8, height: usize) -> Image8 {
-    let taps = taps(image.height, height);
+    let taps = bicubic_taps(image.height, height);
     let stride = image.width * image.channels;
     let mut data = vec![0; stride * height];
     data.par_chunks_mut(stride).zip(&taps).for_each(|(out, taps)| {
-        let mut sums = vec![HALF; stride];
-        for (tap, &weight) in taps.weights.iter().enumerate() {
-            let row = &image.data[(taps.first + tap) * stride..][..stride];
-            for (sum, &value) in sums.iter_mut().zip(row) {
-                *sum += i32::from(value) * weight;
-            }
-        }
-        for (value, sum) in out.iter_mut().zip(sums) {
-            *value = clip(sum);
-        }
+        let rows = image.data[taps.first * stride..].chunks_exact(stride);
+        blend_rows(rows, &taps.weights, out);
     });
     Image8 { width: image.width, height, channels: image.channels, data }
 }

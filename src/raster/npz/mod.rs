@@ -211,6 +211,12 @@ pub fn encode(arrays: &[NpyArray<'_>], compression: Compression) -> Vec<u8> {
     archive.finish()
 }
 
+/// Header of a `.npy` file of little-endian 32-bit floats, row-major; the values follow it.
+#[must_use]
+pub fn npy_header_f32(shape: &[usize]) -> Vec<u8> {
+    npy::header("<f4", shape)
+}
+
 fn add_all(archive: &mut zip::Writer, arrays: &[NpyArray<'_>], compression: Compression) {
     for array in arrays {
         let NpyArray { name, shape, data } = array;

@@ -4,9 +4,47 @@
 //! (s = 0.8 as released), and the image says how many metres that is; the height of the cube is a matter
 //! of convention ([`VerticalScale`]). DSM, mesh, density and views of one run take both from here.
 
-use crate::crs::CrsSpec;
+mod georeference;
+
+pub use georeference::Georeference;
+
+use crate::crs::{CrsError, CrsSpec};
 use crate::grid::{GeoTransform, ImageGrid, LonLat, PixelPoint};
 use serde::{Deserialize, Serialize};
+
+/// Why an image's place cannot be used.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum FootprintError {
+    /// A rotated or mirrored grid.
+    #[error("{reason}")]
+    Grid {
+        /// What is wrong with it and what to do.
+        reason: String,
+    },
+    /// The CRS cannot be served, or is undefined there.
+    #[error(transparent)]
+    Crs(#[from] CrsError),
+    /// The centre is no place on Earth.
+    #[error(
+        "the image's centre would lie at latitude {} and longitude {}, which is no place on Earth; are its          grid and its coordinate reference system right?",
+        center.lat_deg, center.lon_deg
+    )]
+    OffEarth {
+        /// The centre.
+        center: LonLat,
+    },
+}
+
+/// A raster over a footprint: what a COG of it says.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GroundGrid {
+    /// Columns and rows.
+    pub size_px: [u32; 2],
+    /// From its pixels to the CRS.
+    pub geotransform: GeoTransform,
+    /// The CRS.
+    pub crs: CrsSpec,
+}
 
 /// Width on the ground of the crops that the released weights were trained with: 640 px of VIGOR's Seattle at
 /// zoom 20, metres.
@@ -61,6 +99,15 @@ impl Footprint {
         }
     }
 
+    /// Of an image of `size_px` columns and rows at a place, measured at its centre.
+    ///
+    /// # Errors
+    /// [`FootprintError`] for a rotated grid, a CRS that this build cannot serve, or a place off the Earth.
+    pub fn of_place(size_px: [u32; 2], place: Place) -> Result<Self, FootprintError> {
+        let gsd_m = Georeference::new(size_px, &place)?.gsd_m()?;
+        Ok(Self { size_px, gsd_m, place: Some(place) })
+    }
+
     /// Of an image without a place that is as wide and high as those of the training.
     #[must_use]
     pub fn of_training(size_px: [u32; 2]) -> Self {
@@ -105,13 +152,31 @@ impl Footprint {
         [relative(pixel.y, self.size_px[1]), relative(pixel.x, self.size_px[0])]
     }
 
-    /// The crop position of a place on Earth; `None` where the image's own place is not known.
+    /// The crop position of a place on Earth; `None` where the image's own place is not known or cannot be
+    /// used. For many positions, and to know why: [`Footprint::georeference`].
     #[must_use]
-    pub fn crop_of_lonlat(&self, place: LonLat) -> Option<[f64; 2]> {
-        match self.place.as_ref()? {
-            Place::WebMercator(grid) => Some(self.crop_of_pixel(grid.pixel(place))),
-            Place::Raster { .. } => None,
-        }
+    pub fn crop_of_lonlat(&self, at: LonLat) -> Option<[f64; 2]> {
+        self.georeference().ok()??.crop_of_lonlat(at).ok()
+    }
+
+    /// A raster of `size_px` columns and rows over the same ground, in the image's own CRS; `None` where the
+    /// image's place is not known.
+    #[must_use]
+    pub fn ground_grid(&self, size_px: [u32; 2]) -> Option<GroundGrid> {
+        let (geotransform, crs) = match self.place.as_ref()? {
+            Place::WebMercator(grid) => (grid.geotransform(), CrsSpec::from_epsg(3857)),
+            Place::Raster { geotransform, crs } => (*geotransform, crs.clone()),
+        };
+        let [x, y] = [0, 1].map(|axis| f64::from(self.size_px[axis]) / f64::from(size_px[axis]));
+        let c = geotransform.0;
+        let geotransform = GeoTransform([c[0], c[1] * x, c[2] * y, c[3], c[4] * x, c[5] * y]);
+        Some(GroundGrid { size_px, geotransform, crs })
+    }
+
+    /// [`Footprint::ground_grid`] of a square DSM.
+    #[must_use]
+    pub fn dsm_grid(&self, size: u32) -> Option<GroundGrid> {
+        self.ground_grid([size; 2])
     }
 }
 
