@@ -57,7 +57,24 @@ fn counts(set: Set) -> &'static [(&'static str, usize)] {
             ("panorama", 7),
             ("super-resolution", 10),
         ],
-        Set::Full => &[],
+        Set::Full => &[
+            ("preprocessing", 2),
+            ("illumination", 2),
+            ("encoder", 36),
+            ("tokens", 1),
+            ("decoder", 29),
+            ("planes", 3),
+            ("sky", 38),
+            ("rotations", 8),
+            ("directions", 6),
+            ("points", 5),
+            ("rays", 18),
+            ("satellite view", 8),
+            ("panorama", 7),
+            ("super-resolution", 12),
+            ("perspective", 5),
+            ("grid", 3),
+        ],
     }
 }
 
@@ -76,10 +93,7 @@ fn check(set: Set, folder: Option<&Path>) {
     for (stage, count) in counts(set) {
         assert_eq!(of(stage), *count, "comparisons of {stage}");
     }
-    assert!(all.len() > 80, "{}", all.len());
-    if !counts(set).is_empty() {
-        assert_eq!(all.len(), counts(set).iter().map(|(_, count)| count).sum::<usize>());
-    }
+    assert_eq!(all.len(), counts(set).iter().map(|(_, count)| count).sum::<usize>());
 }
 
 #[test]
@@ -102,7 +116,9 @@ fn every_value_of_the_published_set() {
 #[test]
 fn full_network() {
     if std::env::var_os("SAT3D_FULL_PARITY").is_none_or(|value| value != "1") {
-        eprintln!("SKIPPED full_network: set SAT3D_FULL_PARITY=1 (minutes, 4 GB)");
+        eprintln!(
+            "SKIPPED full_network: set SAT3D_FULL_PARITY=1 (minutes; the weights alone are 1.5 GB)"
+        );
         return;
     }
     let Some(folder) = goldens("full_network") else { return };

@@ -41,7 +41,7 @@ pub enum Set {
     Tiny,
     /// The same with three planes; a few seconds.
     TinyTriplane,
-    /// The released network, 381 million parameters; minutes, and 4 GB of memory.
+    /// The released network, 381 million parameters; minutes, and 1.5 GB of weights alone.
     Full,
 }
 

@@ -175,12 +175,14 @@ fn rays(
     ledger.compare(RAYS, file, "ray_radii_fine", &fine)?;
     ledger.compare(RAYS, file, "ray_radii_all", &all)?;
     // Sample by sample the densities belong to slightly different radii, which differ as the coarse weights
-    // do, so as the planes do: no order of operations along the ray changes that (the tests show it). In a steep
-    // field the oracle's own error is above 1e-4 there; twice that is allowed.
+    // do, so as the planes do: no order of operations along the ray changes that (the tests show it). Where the
+    // oracle's own error is above the tolerance, in a steep field, twice that is allowed.
     const DENSITY: &str = "ray_density_all";
     let oracles = oracle(set, file.name, DENSITY);
-    let tolerance =
-        oracles.map_or(RAYS.tolerance, |(relative, _)| RAYS.tolerance.max(2.0 * relative));
+    let tolerance = match oracles {
+        Some((relative, _)) if relative > RAYS.tolerance => 2.0 * relative,
+        _ => RAYS.tolerance,
+    };
     ledger.compare(Stage { tolerance, ..RAYS }, file, DENSITY, &raw)?;
     // At equal radii they are held to the usual tolerance.
     let reference = file.singles("ray_radii_all")?;
