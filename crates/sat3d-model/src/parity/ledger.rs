@@ -8,7 +8,7 @@ use crate::network;
 const ORACLE: &str = include_str!("../../fixtures/oracle.tsv");
 
 /// How many times the oracle's largest error ours may be.
-const TIMES: f64 = 20.0;
+pub(super) const TIMES: f64 = 20.0;
 
 /// The oracle's errors of one tensor: relative L2, and the largest single one.
 pub(super) fn oracle(set: Set, file: &str, key: &str) -> Option<(f64, f64)> {

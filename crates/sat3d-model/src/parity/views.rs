@@ -1,7 +1,7 @@
 //! From the feature map to what is seen: points, rays, views, super-resolution, grid.
 
 use super::golden::{File, Goldens};
-use super::ledger::{Ledger, Stage, oracle};
+use super::ledger::{Ledger, Stage, TIMES, oracle};
 use super::network::{Made, watch};
 use super::{ParityError, Set};
 use crate::field::{DensityActivation, Field, Linear, PointHead};
@@ -178,13 +178,12 @@ fn rays(
     // do, so as the planes do: no order of operations along the ray changes that (the tests show it). Where the
     // oracle's own error is above the tolerance, in a steep field, twice that is allowed.
     const DENSITY: &str = "ray_density_all";
-    let oracles = oracle(set, file.name, DENSITY);
-    let tolerance = match oracles {
+    let tolerance = match oracle(set, file.name, DENSITY) {
         Some((relative, _)) if relative > RAYS.tolerance => 2.0 * relative,
         _ => RAYS.tolerance,
     };
     ledger.compare(Stage { tolerance, ..RAYS }, file, DENSITY, &raw)?;
-    // At equal radii they are held to the usual tolerance.
+    // At equal radii they are held to the usual tolerance, and to the oracle's error at points.
     let reference = file.singles("ray_radii_all")?;
     let mut points = Vec::new();
     for (index, radii) in chosen.iter().zip(reference.chunks(reference.len() / chosen.len().max(1)))
@@ -195,8 +194,8 @@ fn rays(
     }
     let ours = field.raw_densities(&points).iter().map(|v| f64::from(*v)).collect::<Vec<_>>();
     let name = format!("{} {DENSITY}, at the reference's radii", file.name);
-    let allowed = oracles.map_or(f64::NAN, |(_, largest)| 20.0 * largest);
-    ledger.add(RAYS, &name, &ours, &file.values(DENSITY)?, allowed);
+    let allowed = oracle(set, "03_points", "density_raw").map(|(_, largest)| TIMES * largest);
+    ledger.add(RAYS, &name, &ours, &file.values(DENSITY)?, allowed.unwrap_or(f64::NAN));
     Ok(())
 }
 
