@@ -10,6 +10,8 @@ pub mod illumination;
 pub mod mesh;
 mod model;
 pub mod network;
+#[cfg(feature = "parity")]
+pub mod parity;
 pub mod preprocess;
 pub mod render;
 pub mod scene;

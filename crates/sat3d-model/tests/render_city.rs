@@ -184,10 +184,21 @@ fn one_thread_and_many_give_the_same_bytes() {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(|| {
             let camera = Camera::panorama([0.1, 0.2, -0.3], 0.8);
             let view = render(&field, Some(&sky), &camera, &RenderOptions::default(), color());
-            let dsm = dsm(&field, 50, &RenderOptions::stable());
+            let pose =
+                Pose::on_crop([0.1, 0.2, -0.3], Angles { yaw: 40.0, ..Angles::default() }, 0.8);
+            let stable = RenderOptions::stable();
+            let pinhole = render(&field, Some(&sky), &Camera::perspective(pose), &stable, color());
+            let above = render(&field, None, &Camera::Ortho { size: 40 }, &stable, color());
+            let dsm = dsm(&field, 50, &stable);
             let grid = density_grid(&field, Lattice::pixels(30, 0.8));
             let colors = view.composite.unwrap().data;
-            [view.depth, view.opacity, colors, dsm.height, dsm.opacity, grid.values]
+            let normals = [view.normals, pinhole.normals, above.normals]
+                .map(|normals| normals.unwrap().concat())
+                .concat();
+            let colors = [colors, pinhole.composite.unwrap().data, above.feature.unwrap().data];
+            let depths = [view.depth, view.depth_spread, pinhole.depth, above.depth, dsm.height];
+            let rest = [view.opacity, dsm.opacity, dsm.depth_spread, grid.values, normals];
+            [colors.concat(), depths.concat(), rest.concat()]
                 .concat()
                 .iter()
                 .map(|value| value.to_bits())
