@@ -10,6 +10,7 @@ pub mod illumination;
 pub mod mesh;
 mod model;
 pub mod network;
+pub mod parity;
 pub mod preprocess;
 pub mod render;
 pub mod scene;
