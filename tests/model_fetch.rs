@@ -300,7 +300,7 @@ fn without_a_network_or_room_the_error_says_what_to_do() {
     let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     let closed = format!("http://127.0.0.1:{port}");
     let (_, stderr) = ran(world.fetch().env("HF_ENDPOINT", &closed), 2);
-    for part in [closed.as_str(), "Is the network there?", "--weights", "HF_ENDPOINT"] {
+    for part in [closed.as_str(), "when the network is there", "--weights", "HF_ENDPOINT"] {
         assert!(stderr.contains(part), "{part} in {stderr}");
     }
     let (_, stderr) = ran(world.fetch().env("HF_ENDPOINT", "hub.example"), 2);

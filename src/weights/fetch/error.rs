@@ -27,9 +27,9 @@ pub enum FetchError {
     },
     /// The server cannot be reached, or the connection broke and stayed broken.
     #[error(
-        "{url}: {why}. Is the network there? What was received is kept: the same command continues. \
-         Without a network, copy a checkpoint folder from elsewhere and name it with --weights; \
-         HF_ENDPOINT names a mirror, HTTPS_PROXY a proxy"
+        "{url}: {why}; try again when the network is there (what was received is kept), name a mirror \
+         with HF_ENDPOINT or a proxy with HTTPS_PROXY, or copy a checkpoint folder from elsewhere \
+         and name it with --weights"
     )]
     Network {
         /// The address.

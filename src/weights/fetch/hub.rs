@@ -307,20 +307,32 @@ fn joined(at: &str, location: &str) -> String {
     format!("{}/{location}", folder.map_or(origin(at), |end| &path[..end]))
 }
 
-/// Whether a second attempt may succeed.
+/// Whether a second attempt may succeed: the connection broke. A name that cannot be resolved, a port
+/// that nobody listens on and a certificate that is not trusted stay so.
 fn transient(error: &ureq::Error) -> bool {
+    use std::io::ErrorKind::{
+        BrokenPipe, ConnectionAborted, ConnectionReset, TimedOut, UnexpectedEof,
+    };
     match error {
         ureq::Error::Timeout(_) => true,
-        ureq::Error::Io(error) => !matches!(error.kind(), std::io::ErrorKind::ConnectionRefused),
+        ureq::Error::Io(error) => matches!(
+            error.kind(),
+            BrokenPipe | ConnectionAborted | ConnectionReset | TimedOut | UnexpectedEof
+        ),
         _ => false,
     }
 }
 
 fn explained(error: &ureq::Error) -> String {
+    let text = error.to_string();
+    let text = text.strip_prefix("io: ").unwrap_or(&text);
     match error {
         ureq::Error::HostNotFound => "the host's name cannot be resolved".into(),
         ureq::Error::ConnectionFailed => "no connection".into(),
-        other => other.to_string(),
+        _ if text.contains("certificate") => {
+            format!("{text} (SSL_CERT_FILE names a file of certificates to trust instead)")
+        }
+        _ => text.to_owned(),
     }
 }
 
