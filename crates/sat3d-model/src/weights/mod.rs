@@ -16,7 +16,7 @@ mod mapped;
 pub mod rule;
 
 pub use expected::{Need, TensorSpec, expected};
-pub use inspect::{Inspection, ModuleSummary, inspect};
+pub use inspect::{Inspection, ModuleSummary, Problems, examine, inspect, inspect_with};
 pub use mapped::MappedFile;
 
 /// Name of the weights' file in a checkpoint folder.

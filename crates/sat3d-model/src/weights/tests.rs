@@ -300,3 +300,71 @@ fn tensors_survive_their_pages_being_given_back() {
     assert_eq!(mismatch(checkpoint.read("nothing", &[1]).unwrap_err()).missing, ["nothing"]);
     assert_eq!(mismatch(checkpoint.read(key, &[1]).unwrap_err()).misshaped.len(), 1);
 }
+
+#[test]
+fn everything_that_is_wrong_is_found_at_once() {
+    let folder = tiny_folder();
+    assert!(examine(folder.path()).is_ok());
+    let config = TINY
+        .replace("\"Sat3DGen\"", "\"AutoencoderKL\"")
+        .replace("\"oneplane\"", "\"twoplane\"")
+        .replace("\"sr_factor\": 2", "\"sr_factor\": 3")
+        .replace("\"mlp_hidden_dim\": 32", "\"mlp_hidden_dim\": 33")
+        .replace("\"use_gated_mlp\": false", "\"use_gated_mlp\": true");
+    std::fs::write(folder.path().join("config.json"), &config).unwrap();
+    let weights = folder.path().join(WEIGHTS_FILE);
+    let whole = std::fs::read(&weights).unwrap();
+    std::fs::write(&weights, &whole[..whole.len() - 1]).unwrap();
+    let found = examine(folder.path()).unwrap_err();
+    let text = found.to_string();
+    assert_eq!(found.problems.len(), 6, "{text}");
+    for part in [
+        "6 problems:",
+        "1. ",
+        "AutoencoderKL",
+        "opt.representation_type",
+        "opt.network.sr_factor",
+        "opt.network.mlp_hidden_dim",
+        "opt.backbone_config.use_gated_mlp",
+        "6. ",
+        "cut off",
+    ] {
+        assert!(text.contains(part), "{part} in {text}");
+    }
+    // With nothing but another class, the tensors are still held against the config.
+    let mut tensors = tiny_tensors();
+    tensors.remove("mlp.net0.bias");
+    let other = written(&tensors, &TINY.replace("\"Sat3DGen\"", "\"AutoencoderKL\""));
+    let found = examine(other.path()).unwrap_err();
+    assert_eq!(found.problems.len(), 2, "{found}");
+    assert!(found.to_string().contains("1 missing: mlp.net0.bias"), "{found}");
+    // One problem reads as that error does.
+    let one = written(&tensors, TINY);
+    let expected = Checkpoint::open(one.path()).unwrap_err().to_string();
+    assert_eq!(examine(one.path()).unwrap_err().to_string(), expected);
+    // No JSON, a value of a wrong type, nothing at all.
+    for (text, part) in [("{", "config.json: EOF"), ("{\"_class_name\": \"Sat3DGen\"}", "`opt` is")]
+    {
+        std::fs::write(one.path().join("config.json"), text).unwrap();
+        let found = examine(one.path()).unwrap_err();
+        assert!(found.to_string().contains(part), "{found}");
+    }
+    assert!(examine(Path::new("/no/such/folder")).is_err());
+}
+
+#[test]
+fn what_is_left_over_is_named_and_every_byte_is_reported() {
+    let without = TINY.replace("\"sr_factor\": 2", "\"sr_factor\": 1");
+    let folder = written(&tiny_tensors(), &without);
+    let checkpoint = Checkpoint::open(folder.path()).unwrap();
+    let hashed = std::sync::atomic::AtomicU64::new(0);
+    let add = |bytes| _ = hashed.fetch_add(bytes, std::sync::atomic::Ordering::Relaxed);
+    let inspection = inspect_with(&checkpoint, &add);
+    // Eleven of super-resolution, the mask token, the triplane's axes.
+    assert_eq!(inspection.left_over.len(), 13, "{:?}", inspection.left_over);
+    assert!(inspection.absent.is_empty());
+    let of_modules: u64 = inspection.modules.iter().map(|module| module.bytes).sum();
+    assert_eq!(of_modules, 4 * inspection.parameters);
+    assert_eq!(hashed.into_inner(), inspection.bytes + of_modules);
+    assert_eq!(inspection, inspect(&checkpoint));
+}
