@@ -5,7 +5,8 @@ use crate::plan::{Bound, Step};
 
 impl ViewRequests {
     /// The steps that views take, on and off, with cost and cause. Pictures have no error in metres: all
-    /// bounds are zero.
+    /// bounds are zero. The network's own steps (sky, super-resolution) are the run's, which knows the
+    /// network: see [`Self::needs_sky`] and [`Self::needs_super_resolution`].
     #[must_use]
     pub fn steps(&self) -> Vec<Step> {
         let doubled = self.super_resolution;
@@ -35,14 +36,6 @@ impl ViewRequests {
         };
         let sky = self.needs_sky();
         let mut steps = vec![
-            step(
-                "sky",
-                sky,
-                "style code and sky map",
-                "the sky mapping and its decoder, once".to_owned(),
-                "rays that leave the scene, and the light of street views",
-                if sky { "a view may see the sky" } else { "no ray leaves the scene" },
-            ),
             view("satellite-view", self.satellite, "256 x 256", rays([256, 256]), "--satellite"),
             view(
                 "panorama",
@@ -104,20 +97,6 @@ impl ViewRequests {
             "9 rays a place".to_owned(),
             "a height above the surface, or a place to look at without a height",
             asked(probes && sky),
-        ));
-        steps.push(step(
-            "super-resolution",
-            self.needs_super_resolution(),
-            "twice the rays",
-            "the upsampler, once a picture".to_owned(),
-            "street views of a model that has it",
-            if self.needs_super_resolution() {
-                "the whole frame at once"
-            } else if sky {
-                "the model has none"
-            } else {
-                "no street view"
-            },
         ));
         steps.push(view(
             "view-depth",
