@@ -5,6 +5,7 @@ mod views_support;
 
 use sat3d::footprint::Footprint;
 use sat3d::grid::{LonLat, PixelPoint};
+use sat3d::model::Scene;
 use sat3d::model::render::{Angles, Intrinsics, RenderOptions};
 use sat3d::views::{
     CameraFile, FrameKind, Height, Lens, Optics, PathRequest, Place, Trajectory, ViewContext,
@@ -249,6 +250,14 @@ fn places_outside_are_refused_by_value() {
     let missing = ViewRequests { panorama: true, super_resolution: true, ..base() };
     let context = ViewContext { scene: &scene, network: None, footprint: &footprint, stem: "x" };
     assert!(matches!(render(&missing, &context), Err(ViewError::NoNetwork)));
+    let mut parts = scene.parts().clone();
+    parts.sky = None;
+    let dark = Scene::new(parts).unwrap();
+    let context = ViewContext { scene: &dark, ..context };
+    let panorama = ViewRequests { panorama: true, ..base() };
+    assert!(matches!(render(&panorama, &context), Err(ViewError::NoSky)));
+    let satellite = ViewRequests { satellite: true, ..base() };
+    assert!(render(&satellite, &context).is_ok());
 }
 
 #[test]

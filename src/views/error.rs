@@ -81,6 +81,11 @@ pub enum ViewError {
         /// Principal row.
         cy: f64,
     },
+    /// A scene without the light of its street views.
+    #[error(
+        "these views see the sky, and the scene has none; make the scene again with a street view asked for"
+    )]
+    NoSky,
     /// Super-resolution was asked for without the network that does it.
     #[error("these views take super-resolution, and no network was given")]
     NoNetwork,

@@ -161,6 +161,9 @@ pub fn render_each(
     if requests.needs_super_resolution() && context.network.is_none() {
         return Err(ViewError::NoNetwork);
     }
+    if requests.needs_sky() && context.scene.parts().sky.is_none() {
+        return Err(ViewError::NoSky);
+    }
     requests.check()?;
     let ViewContext { scene, network, footprint, stem } = *context;
     let world = World::new(scene, footprint);

@@ -68,7 +68,7 @@ impl Exposure<'_> {
             self.write(format!("{}_depth.npz", shot.name), npz)?;
             self.write(format!("{}_depth.png", shot.name), depth::preview(&view)?)?;
         }
-        // A scene without a sky has black around it.
+        // The satellite view is trained without a sky.
         let none =
             || Grid::new(3, view.height, view.width, vec![0.0; 3 * view.height * view.width]);
         let colours = view.composite.take().or_else(|| view.feature.take()).unwrap_or_else(none);

@@ -34,6 +34,11 @@ pub(super) fn read(
             return Err(content(path, "`applied_transform`", why));
         }
     }
+    if let Some(scale) = file.get("applied_scale").filter(|scale| scale.as_f64() != Some(1.0)) {
+        let why =
+            format!("{scale}: the world is not in metres any more; undo it and take the key out");
+        return Err(content(path, "`applied_scale`", why));
+    }
     let empty = Map::new();
     let common = file.as_object().unwrap_or(&empty);
     let mut cameras = Vec::with_capacity(frames.len());

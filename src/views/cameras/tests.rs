@@ -114,6 +114,7 @@ fn transforms_that_would_be_misread_are_refused() {
         ),
         "undo it",
     );
+    says(changed(|file| file["applied_scale"] = json!(0.5), None), "`applied_scale`: 0.5");
     let identity = json!([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]);
     assert!(changed(|file| file["applied_transform"] = identity.clone(), None).is_ok());
     let scaled = |file: &mut Value| {
