@@ -82,6 +82,18 @@ pub struct PathRequest {
     pub video: Option<VideoEncoder>,
 }
 
+impl PathRequest {
+    /// How many frames there are.
+    #[must_use]
+    pub fn frames(&self) -> usize {
+        self.trajectory.count.div_ceil(self.every.max(1))
+    }
+}
+
+/// The four pictures of a row, and how far each is turned from the front, degrees.
+const SURROUND: [(&str, f64); 4] =
+    [("left", -90.0), ("front", 0.0), ("right", 90.0), ("back", 180.0)];
+
 /// What one image's views are made from.
 #[derive(Clone, Copy)]
 pub struct ViewContext<'a> {
@@ -121,6 +133,43 @@ impl ViewRequests {
     #[must_use]
     pub fn needs_super_resolution(&self) -> bool {
         self.super_resolution && self.needs_sky()
+    }
+
+    /// Paths of the files of one image, in the order in which [`render`] makes them.
+    #[must_use]
+    pub fn files(&self, stem: &str) -> Vec<String> {
+        let mut files = Vec::new();
+        let view = |files: &mut Vec<String>, name: &str| {
+            let ends: &[&str] = if self.depth { &["_depth.npz", "_depth.png"] } else { &[] };
+            files.extend(ends.iter().map(|end| format!("{name}{end}")));
+        };
+        let stills = [
+            (self.satellite, "satellite"),
+            (self.panorama, "panorama"),
+            (self.perspective, "perspective"),
+        ];
+        let stills = stills.iter().filter(|(on, _)| *on).map(|(_, name)| format!("{stem}_{name}"));
+        let cameras = self.cameras.iter().flat_map(|file| &file.cameras);
+        for name in stills.chain(cameras.map(|camera| format!("{stem}_cameras/{}", camera.name))) {
+            view(&mut files, &name);
+            files.push(format!("{name}.png"));
+        }
+        let Some(path) = &self.path else { return files };
+        for number in 1..=path.frames() {
+            let name = format!("{stem}_trajectory/{number:04}");
+            match path.kind {
+                FrameKind::Surround { .. } => {
+                    for (side, _) in SURROUND {
+                        view(&mut files, &format!("{name}_{side}"));
+                    }
+                }
+                FrameKind::Panorama | FrameKind::Follow => view(&mut files, &name),
+            }
+            files.push(format!("{name}.png"));
+        }
+        files.push(format!("{stem}_trajectory.gif"));
+        files.extend(path.video.iter().map(|_| format!("{stem}_trajectory.mp4")));
+        files
     }
 
     /// Checks what can be checked without an image.
@@ -244,9 +293,7 @@ fn film(
             FrameKind::Follow => exposure.expose(&turned(name.clone(), 0.0))?,
             FrameKind::Surround { mirrored, .. } => {
                 let mut row = Vec::with_capacity(4);
-                for (side, yaw) in
-                    [("left", -90.0), ("front", 0.0), ("right", 90.0), ("back", 180.0)]
-                {
+                for (side, yaw) in SURROUND {
                     let picture = exposure.expose(&turned(format!("{name}_{side}"), yaw))?;
                     let mirror = mirrored && side == "back";
                     row.push(if mirror { picture.mirrored() } else { picture });

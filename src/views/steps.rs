@@ -61,7 +61,7 @@ impl ViewRequests {
         let form = format!("{of_cameras} pictures");
         steps.push(view("cameras", cameras.is_some(), &form, format!("{count} rays"), "--cameras"));
         if let Some(path) = &self.path {
-            let frames = path.trajectory.count.div_ceil(path.every.max(1));
+            let frames = path.frames();
             let (what, cost) = match path.kind {
                 FrameKind::Panorama => ("panoramas", rays([256, 64])),
                 FrameKind::Follow => ("pictures along the path", picture),

@@ -37,7 +37,10 @@ pub fn pixel_of(x: f64, y: f64) -> [f64; 2] {
 pub fn files(requests: &ViewRequests) -> Vec<NamedFile> {
     let (scene, footprint) = (city(), seattle());
     let context = ViewContext { scene: &scene, network: None, footprint: &footprint, stem: "city" };
-    render(requests, &context).unwrap_or_else(|error| panic!("{error}"))
+    let files = render(requests, &context).unwrap_or_else(|error| panic!("{error}"));
+    let paths: Vec<&str> = files.iter().map(|file| file.path.as_str()).collect();
+    assert_eq!(paths, requests.files("city"), "the files that were announced");
+    files
 }
 
 pub fn file<'a>(files: &'a [NamedFile], path: &str) -> &'a [u8] {
