@@ -14,6 +14,7 @@ mod gdal_setup;
 pub mod geotiff;
 mod header;
 mod list;
+pub mod palette;
 pub mod preview;
 mod sample;
 mod tiff_codec;
