@@ -4,6 +4,7 @@ mod completions;
 mod console;
 mod dsm_bench;
 mod eval;
+mod infer;
 mod run;
 mod simulate;
 mod vigor;
@@ -32,6 +33,7 @@ pub(crate) struct Cli {
 pub(crate) enum Command {
     DsmBench(dsm_bench::Args),
     Eval(Box<eval::Args>),
+    Infer(Box<infer::Args>),
     Run(run::Args),
     Simulate(simulate::Args),
     Completions(completions::Args),
@@ -47,6 +49,7 @@ pub(crate) fn dispatch(command: &Command) -> anyhow::Result<ExitCode> {
     match command {
         Command::DsmBench(args) => dsm_bench::run(args),
         Command::Eval(args) => eval::run(args),
+        Command::Infer(args) => infer::run(args),
         Command::Run(args) => run::run(args),
         Command::Simulate(args) => simulate::run(args),
         Command::Completions(args) => completions::run(args),

@@ -1,0 +1,241 @@
+//! The work on one image: decode, network, field, heights, encoded files.
+
+use super::input;
+use super::list::{Entry, Kind};
+use super::options::InferOptions;
+use super::outputs::{Heights, NOTE_FOOTPRINT, NamedBytes};
+use super::record::{GroundFrom, Record};
+use super::{GROUND_TOLERANCE, Identity};
+use crate::batch::{OutputFile, Product, Record as _};
+use crate::footprint::{Footprint, Place, TRAINING_WIDTH_M};
+use crate::grid::PixelPoint;
+use crate::model::render::{DepthKind, Dsm, LEAST_OPACITY};
+use crate::model::scene::SceneParts;
+use crate::model::{Image8, Model, Scene};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+use std::sync::{Mutex, PoisonError};
+use std::time::UNIX_EPOCH;
+
+/// What a worker needs to know of the run.
+pub struct Workshop<'a> {
+    pub options: &'a InferOptions,
+    /// Absent where all inputs are scene files and no output needs the network.
+    pub model: Option<&'a Model>,
+    /// Which weights the model has.
+    pub identity: Option<&'a Identity>,
+    /// Threads of the network and the renderer.
+    pub pool: &'a rayon::ThreadPool,
+    /// Held by the image whose turn it is: each takes all threads, and the memory of one is enough.
+    pub turn: &'a Mutex<()>,
+}
+
+/// A decoded input.
+enum Source {
+    Image(Image8),
+    Scene(Box<Scene>),
+}
+
+impl Workshop<'_> {
+    /// Works on one image. Never fails as a whole, not even by a panic: the record says what happened.
+    pub fn build(&self, entry: &Entry) -> Product<Record> {
+        let image = entry.path.file_name().unwrap_or_default().to_string_lossy();
+        let mut record = Record::new(&entry.stem, &image, fingerprint(&entry.path));
+        let mut files = Vec::new();
+        let outcome = catch_unwind(AssertUnwindSafe(|| self.fill(entry, &mut record, &mut files)));
+        let outcome = outcome.unwrap_or_else(|panic| {
+            let text = panic.downcast_ref::<&str>().copied();
+            let text = text.or_else(|| panic.downcast_ref::<String>().map(String::as_str));
+            Err(format!("the computation broke off: {}", text.unwrap_or("unknown cause")))
+        });
+        if let Err(reason) = outcome {
+            record.fail(reason);
+            files.clear();
+        }
+        record.outputs = files.iter().map(|(file, bytes)| OutputFile::of(file, bytes)).collect();
+        Product { record, files }
+    }
+
+    fn fill(
+        &self,
+        entry: &Entry,
+        record: &mut Record,
+        files: &mut Vec<NamedBytes>,
+    ) -> Result<(), String> {
+        let (source, footprint, scale) = match entry.kind {
+            Kind::Picture => self.picture(&entry.path, record)?,
+            Kind::Scene => self.scene_file(&entry.path, record)?,
+        };
+        let unit_m = footprint.vertical_metres_per_unit(self.options.vertical, scale);
+        let (scene, dsm) = self.compute(source, &footprint, unit_m, &entry.stem, files)?;
+        // Encoding leaves the threads to the next image.
+        if let Some(dsm) = &dsm {
+            let heights = Heights { dsm, metres_per_unit: 2.0 * unit_m };
+            self.describe(record, &heights);
+            if self.options.outputs.dsm {
+                files.extend(self.npz(&heights, &entry.stem));
+            }
+            if self.options.outputs.geotiff {
+                files.extend(self.geotiff(&heights, &footprint, &entry.stem, &mut record.flags));
+            }
+        }
+        if self.options.outputs.scene {
+            files.extend(self.scene(&scene, &footprint, &entry.stem)?);
+        }
+        Ok(())
+    }
+
+    /// All that takes the network or the renderer, one image at a time.
+    fn compute(
+        &self,
+        source: Source,
+        footprint: &Footprint,
+        unit_m: f64,
+        stem: &str,
+        files: &mut Vec<NamedBytes>,
+    ) -> Result<(Scene, Option<Dsm>), String> {
+        let _turn = self.turn.lock().unwrap_or_else(PoisonError::into_inner);
+        self.pool.install(|| {
+            let scene = match source {
+                Source::Scene(scene) if scene.parts().metres_per_unit == unit_m => *scene,
+                Source::Scene(scene) => {
+                    let parts = SceneParts { metres_per_unit: unit_m, ..scene.parts().clone() };
+                    Scene::new(parts).map_err(|error| error.to_string())?
+                }
+                Source::Image(image) => {
+                    let model = self.model.ok_or("a picture needs --weights")?;
+                    model.scene(&image, None, unit_m).map_err(|error| error.to_string())?
+                }
+            };
+            let size = self.options.size as usize;
+            let heights = self.options.outputs.needs_heights();
+            let dsm = heights.then(|| scene.dsm(size, &self.options.render));
+            files.extend(self.renders(&scene, footprint, stem)?);
+            Ok((scene, dsm))
+        })
+    }
+
+    /// What is rendered of the scene beside its heights: one call per output.
+    fn renders(
+        &self,
+        _scene: &Scene,
+        _footprint: &Footprint,
+        _stem: &str,
+    ) -> Result<Vec<NamedBytes>, String> {
+        Ok(Vec::new())
+    }
+
+    fn picture(
+        &self,
+        path: &Path,
+        record: &mut Record,
+    ) -> Result<(Source, Footprint, f64), String> {
+        let picture = input::open(path).map_err(|error| error.to_string())?;
+        let footprint = picture.footprint(self.options.gsd_m);
+        let placed = picture.place().is_some();
+        self.describe_ground(record, &footprint, placed);
+        let image = picture.read().map_err(|error| error.to_string())?;
+        let scale = self.model.map_or(1.0, |model| model.config.scale);
+        Ok((Source::Image(image), footprint, scale))
+    }
+
+    fn scene_file(
+        &self,
+        path: &Path,
+        record: &mut Record,
+    ) -> Result<(Source, Footprint, f64), String> {
+        let (scene, notes) = Scene::load_with_notes(path).map_err(|error| error.to_string())?;
+        let noted = notes.get(NOTE_FOOTPRINT);
+        let noted: Option<Footprint> = noted.and_then(|json| serde_json::from_str(json).ok());
+        let known = noted.is_some();
+        // A scene by itself has no pixels; any number stands for the training's ground.
+        let mut footprint = noted.unwrap_or_else(|| Footprint::of_training([self.options.size; 2]));
+        if let Some(gsd_m) = self.options.gsd_m {
+            footprint.gsd_m = gsd_m;
+        }
+        self.describe_ground(record, &footprint, known);
+        // The decimal number that was meant by an f32: 0.8, not 0.800000012.
+        let scale = scene.field().scale();
+        let scale = scale.to_string().parse().unwrap_or(f64::from(scale));
+        Ok((Source::Scene(Box::new(scene)), footprint, scale))
+    }
+
+    fn describe_ground(&self, record: &mut Record, footprint: &Footprint, placed: bool) {
+        let from = match (self.options.gsd_m, placed) {
+            (Some(_), _) => GroundFrom::Option,
+            (None, true) => GroundFrom::Place,
+            (None, false) => GroundFrom::Assumed,
+        };
+        record.size_px = Some(footprint.size_px);
+        record.ground_m = Some(footprint.ground_m());
+        record.ground_from = Some(from);
+        if let Some(Place::WebMercator(grid)) = &footprint.place {
+            let [width, height] = footprint.size_px.map(f64::from);
+            let center = grid.lonlat(PixelPoint { x: width / 2.0, y: height / 2.0 });
+            (record.lat_deg, record.lon_deg) = (Some(center.lat_deg), Some(center.lon_deg));
+            let stated = grid.ground_sample_distance();
+            let [across, _] = footprint.gsd_m;
+            if (across / stated - 1.0).abs() > 0.01 {
+                record.flags.push(format!(
+                    "--gsd says {across:.4} m per pixel and the place {stated:.4}; a GeoTIFF lies where the place says"
+                ));
+            }
+        }
+        if from == GroundFrom::Assumed {
+            record.flags.push(format!(
+                "nothing says how large the image is on the ground: taken to be {TRAINING_WIDTH_M} m wide, as those of the training (--gsd says otherwise)"
+            ));
+        }
+        if let Some(text) = other_ground(footprint) {
+            record.other_ground = true;
+            record.flags.push(text);
+        }
+    }
+
+    fn describe(&self, record: &mut Record, heights: &Heights<'_>) {
+        record.metres_per_unit = Some(heights.metres_per_unit);
+        let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
+        let (mut sum, mut count) = (0.0_f64, 0_u64);
+        for height in heights.metres().into_iter().filter(|height| !height.is_nan()) {
+            (low, high) = (low.min(height), high.max(height));
+            sum += f64::from(height);
+            count += 1;
+        }
+        if count > 0 {
+            record.min_m = Some(f64::from(low));
+            record.max_m = Some(f64::from(high));
+            record.mean_m = Some(sum / count as f64);
+        }
+        let opacity = &heights.dsm.opacity;
+        let total: f64 = opacity.iter().map(|&value| f64::from(value)).sum();
+        record.opacity = Some(total / opacity.len() as f64);
+        let empty = opacity.iter().filter(|&&value| f64::from(value) < LEAST_OPACITY).count();
+        record.no_surface_px = Some(empty as u64);
+        if empty > 0 && self.options.render.depth_kind() == DepthKind::Raw {
+            record.flags.push(format!(
+                "{empty} pixels met no surface; raw depth shows them near the top of the cube (--depth normalised leaves them empty)"
+            ));
+        }
+    }
+}
+
+/// What is wrong with the size on the ground, in words; `None` where it is the training's.
+pub fn other_ground(footprint: &Footprint) -> Option<String> {
+    let [across, down] = footprint.ground_m();
+    let off = |metres: f64| (metres / TRAINING_WIDTH_M - 1.0).abs() > GROUND_TOLERANCE;
+    (off(across) || off(down)).then(|| {
+        format!(
+            "{across:.1} x {down:.1} m on the ground, {:.2} x {:.2} times the {TRAINING_WIDTH_M} m that the network was trained on",
+            across / TRAINING_WIDTH_M,
+            down / TRAINING_WIDTH_M,
+        )
+    })
+}
+
+/// Size and time of an input; empty where there is no such file.
+pub fn fingerprint(path: &Path) -> String {
+    let Ok(metadata) = std::fs::metadata(path) else { return String::new() };
+    let time = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    format!("{name}:{}:{}", metadata.len(), time.map_or(0, |time| time.as_nanos()))
+}
