@@ -34,15 +34,15 @@ pub struct Batch<'a> {
 
 impl Batch<'_> {
     /// Works on `todo`: `build` makes each item's record and files (and says in the record what went
-    /// wrong, if anything did); records end in `journal` and then in `keep`, in the order in which
-    /// items finish.
+    /// wrong, if anything did), or nothing where it saw in time that it should stop; records end in
+    /// `journal` and then in `keep`, in the order in which items finish.
     ///
     /// # Errors
     /// The journal cannot be written; the items of the last group are then redone by the next run.
     pub fn run<T: Sync, R: Record>(
         &self,
         todo: &[T],
-        build: impl Fn(&T) -> Product<R> + Sync,
+        build: impl Fn(&T) -> Option<Product<R>> + Sync,
         journal: &mut Journal<R>,
         keep: impl FnMut(R),
     ) -> Result<(), JournalError> {
@@ -65,7 +65,8 @@ impl Batch<'_> {
                         let Some(item) = todo.get(next.fetch_add(1, Ordering::Relaxed)) else {
                             return;
                         };
-                        if products.send(build(item)).is_err() {
+                        let Some(product) = build(item) else { return };
+                        if products.send(product).is_err() {
                             return;
                         }
                     }

@@ -277,7 +277,7 @@ impl Prepared {
             stop,
             disk_full: &disk_full,
         };
-        let build = |entry: &&ImageEntry| workshop.build(entry);
+        let build = |entry: &&ImageEntry| Some(workshop.build(entry));
         let result = batch.run(&todo, build, &mut journal, |record| records.push(record));
         let seconds = progress.finish();
         result?;

@@ -6,7 +6,7 @@ use super::options::InferOptions;
 use super::outputs::{Heights, NOTE_FOOTPRINT, NamedBytes};
 use super::record::{GroundFrom, Record};
 use super::{GROUND_TOLERANCE, Identity};
-use crate::batch::{OutputFile, Product, Record as _};
+use crate::batch::{Interrupt, OutputFile, Product, Record as _};
 use crate::footprint::{Footprint, Place, TRAINING_WIDTH_M};
 use crate::grid::PixelPoint;
 use crate::model::render::{DepthKind, Dsm, LEAST_OPACITY};
@@ -26,6 +26,8 @@ pub struct Workshop<'a> {
     pub identity: Option<&'a Identity>,
     /// Threads of the network and the renderer.
     pub pool: &'a rayon::ThreadPool,
+    /// Images that wait for their turn give up when this is set.
+    pub stop: &'a Interrupt,
     /// Held by the image whose turn it is: each takes all threads, and the memory of one is enough.
     pub turn: &'a Mutex<()>,
 }
@@ -38,7 +40,8 @@ enum Source {
 
 impl Workshop<'_> {
     /// Works on one image. Never fails as a whole, not even by a panic: the record says what happened.
-    pub fn build(&self, entry: &Entry) -> Product<Record> {
+    /// `None` where the run was stopped before the image's turn.
+    pub fn build(&self, entry: &Entry) -> Option<Product<Record>> {
         let image = entry.path.file_name().unwrap_or_default().to_string_lossy();
         let mut record = Record::new(&entry.stem, &image, fingerprint(&entry.path));
         let mut files = Vec::new();
@@ -48,26 +51,32 @@ impl Workshop<'_> {
             let text = text.or_else(|| panic.downcast_ref::<String>().map(String::as_str));
             Err(format!("the computation broke off: {}", text.unwrap_or("unknown cause")))
         });
-        if let Err(reason) = outcome {
-            record.fail(reason);
-            files.clear();
+        match outcome {
+            Ok(true) => {}
+            Ok(false) => return None,
+            Err(reason) => {
+                record.fail(reason);
+                files.clear();
+            }
         }
         record.outputs = files.iter().map(|(file, bytes)| OutputFile::of(file, bytes)).collect();
-        Product { record, files }
+        Some(Product { record, files })
     }
 
+    /// Whether the image was worked on.
     fn fill(
         &self,
         entry: &Entry,
         record: &mut Record,
         files: &mut Vec<NamedBytes>,
-    ) -> Result<(), String> {
+    ) -> Result<bool, String> {
         let (source, footprint, scale) = match entry.kind {
             Kind::Picture => self.picture(&entry.path, record)?,
             Kind::Scene => self.scene_file(&entry.path, record)?,
         };
         let unit_m = footprint.vertical_metres_per_unit(self.options.vertical, scale);
-        let (scene, dsm) = self.compute(source, &footprint, unit_m, &entry.stem, files)?;
+        let computed = self.compute(source, &footprint, unit_m, &entry.stem, files)?;
+        let Some((scene, dsm)) = computed else { return Ok(false) };
         // Encoding leaves the threads to the next image.
         if let Some(dsm) = &dsm {
             let heights = Heights { dsm, metres_per_unit: 2.0 * unit_m };
@@ -82,7 +91,7 @@ impl Workshop<'_> {
         if self.options.outputs.scene {
             files.extend(self.scene(&scene, &footprint, &entry.stem)?);
         }
-        Ok(())
+        Ok(true)
     }
 
     /// All that takes the network or the renderer, one image at a time.
@@ -93,8 +102,11 @@ impl Workshop<'_> {
         unit_m: f64,
         stem: &str,
         files: &mut Vec<NamedBytes>,
-    ) -> Result<(Scene, Option<Dsm>), String> {
+    ) -> Result<Option<(Scene, Option<Dsm>)>, String> {
         let _turn = self.turn.lock().unwrap_or_else(PoisonError::into_inner);
+        if self.stop.requested() {
+            return Ok(None);
+        }
         self.pool.install(|| {
             let scene = match source {
                 Source::Scene(scene) if scene.parts().metres_per_unit == unit_m => *scene,
@@ -111,7 +123,7 @@ impl Workshop<'_> {
             let heights = self.options.outputs.needs_heights();
             let dsm = heights.then(|| scene.dsm(size, &self.options.render));
             files.extend(self.renders(&scene, footprint, stem)?);
-            Ok((scene, dsm))
+            Ok(Some((scene, dsm)))
         })
     }
 
@@ -238,4 +250,87 @@ pub fn fingerprint(path: &Path) -> String {
     let time = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     format!("{name}:{}:{}", metadata.len(), time.map_or(0, |time| time.as_nanos()))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "a test may fail")]
+    use super::*;
+    use crate::batch::Status;
+    use crate::infer::Outputs;
+    use crate::model::weights::TensorSource;
+    use crate::model::weights::rule::{RuleWeights, tiny_overrides};
+    use crate::model::{Config, Device, ModelError};
+    use std::sync::Arc;
+
+    /// Made-up weights that keep a list of what was read, and fail or panic at a key.
+    struct Watched {
+        weights: RuleWeights,
+        read: Arc<Mutex<Vec<String>>>,
+        panics_at: Option<&'static str>,
+    }
+
+    impl TensorSource for Watched {
+        fn read(&self, key: &str, shape: &[usize]) -> Result<Vec<f32>, ModelError> {
+            assert!(self.panics_at.is_none_or(|part| !key.contains(part)), "at {key}");
+            self.read.lock().unwrap().push(key.to_owned());
+            self.weights.read(key, shape)
+        }
+    }
+
+    fn build(panics_at: Option<&'static str>) -> (Product<Record>, Vec<String>) {
+        let config = std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("crates/sat3d-model/fixtures/tiny/model/config.json");
+        let config = Config::from_json(&std::fs::read_to_string(config).unwrap()).unwrap();
+        let read = Arc::new(Mutex::new(Vec::new()));
+        let weights = RuleWeights::new(&config, tiny_overrides());
+        let source = Watched { weights, read: Arc::clone(&read), panics_at };
+        let model = Model::from_source(config, Box::new(source), &Device::Cpu).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("image.png");
+        image::RgbImage::from_fn(30, 20, |x, y| image::Rgb([x as u8, y as u8, 7]))
+            .save(&path)
+            .unwrap();
+        let mut options = InferOptions::new(path.clone(), None, folder.path().to_owned());
+        options.outputs = Outputs { geotiff: true, scene: true, ..Outputs::default() };
+        options.size = 8;
+        let workshop = Workshop {
+            options: &options,
+            model: Some(&model),
+            identity: None,
+            pool: &rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap(),
+            stop: &Interrupt::default(),
+            turn: &Mutex::new(()),
+        };
+        let entry = Entry { stem: "image".into(), path, kind: Kind::Picture };
+        let product = workshop.build(&entry).unwrap();
+        drop(model);
+        let read = std::mem::take(&mut *read.lock().unwrap());
+        (product, read)
+    }
+
+    #[test]
+    fn heights_read_no_weights_of_the_sky_nor_of_the_super_resolution() {
+        let (product, read) = build(None);
+        assert_eq!(product.record.reason, "");
+        let files: Vec<&str> = product.files.iter().map(|(name, _)| name.as_str()).collect();
+        assert_eq!(files, ["image.npz", "image.tif", "image.scene.safetensors"]);
+        let of = |part: &str| read.iter().filter(|key| key.starts_with(part)).count();
+        assert!(
+            of("unet_model.dino_model.") > 10 && of("unet_model.decoder.") > 10 && of("mlp.") > 5
+        );
+        assert_eq!((of("sky_"), of("sr_module.")), (0, 0), "{read:?}");
+    }
+
+    #[test]
+    fn a_panic_of_the_network_is_a_failed_item() {
+        let (product, _) = build(Some("decoder.conv_in"));
+        assert_eq!(product.record.status, Status::Failed);
+        assert!(
+            product.record.reason.contains("the computation broke off: at"),
+            "{}",
+            product.record.reason
+        );
+        assert!(product.files.is_empty() && product.record.outputs.is_empty());
+    }
 }

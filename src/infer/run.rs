@@ -248,6 +248,7 @@ impl Prepared {
             model: self.model.as_ref(),
             identity: self.identity.as_ref(),
             pool: &pool,
+            stop,
             turn: &Mutex::new(()),
         };
         let progress = Progress::new("inferring", "images", todo.len(), options.quiet);
