@@ -191,7 +191,6 @@ impl InferArgs {
     fn options(&self) -> anyhow::Result<InferOptions> {
         let Some(input) = self.input.clone() else { anyhow::bail!("give an INPUT") };
         let mut options = InferOptions::new(input, self.weights.clone(), self.out.clone());
-        options.weights_origin = "--weights or SAT3D_WEIGHTS".into();
         options.root = self.root.clone();
         options.device = self.device;
         options.outputs = Outputs { dsm: !self.no_dsm, geotiff: self.geotiff, scene: self.scene };

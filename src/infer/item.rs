@@ -32,6 +32,14 @@ pub struct Workshop<'a> {
     pub turn: &'a Mutex<()>,
 }
 
+/// What became of an image whose turn came.
+enum Computed {
+    /// The run was stopped before.
+    Stopped,
+    /// With its heights, where they are wanted.
+    Done(Option<Dsm>),
+}
+
 /// A decoded input.
 enum Source {
     Image(Image8),
@@ -76,7 +84,7 @@ impl Workshop<'_> {
         };
         let unit_m = footprint.vertical_metres_per_unit(self.options.vertical, scale);
         let computed = self.compute(source, &footprint, unit_m, &entry.stem, files)?;
-        let Some((scene, dsm)) = computed else { return Ok(false) };
+        let Computed::Done(dsm) = computed else { return Ok(false) };
         // Encoding leaves the threads to the next image.
         if let Some(dsm) = &dsm {
             let heights = Heights { dsm, metres_per_unit: 2.0 * unit_m };
@@ -87,9 +95,6 @@ impl Workshop<'_> {
             if self.options.outputs.geotiff {
                 files.extend(self.geotiff(&heights, &footprint, &entry.stem, &mut record.flags));
             }
-        }
-        if self.options.outputs.scene {
-            files.extend(self.scene(&scene, &footprint, &entry.stem)?);
         }
         Ok(true)
     }
@@ -102,10 +107,10 @@ impl Workshop<'_> {
         unit_m: f64,
         stem: &str,
         files: &mut Vec<NamedBytes>,
-    ) -> Result<Option<(Scene, Option<Dsm>)>, String> {
+    ) -> Result<Computed, String> {
         let _turn = self.turn.lock().unwrap_or_else(PoisonError::into_inner);
         if self.stop.requested() {
-            return Ok(None);
+            return Ok(Computed::Stopped);
         }
         self.pool.install(|| {
             let scene = match source {
@@ -123,18 +128,23 @@ impl Workshop<'_> {
             let heights = self.options.outputs.needs_heights();
             let dsm = heights.then(|| scene.dsm(size, &self.options.render));
             files.extend(self.renders(&scene, footprint, stem)?);
-            Ok(Some((scene, dsm)))
+            Ok(Computed::Done(dsm))
         })
     }
 
-    /// What is rendered of the scene beside its heights: one call per output.
+    /// What is made of the scene beside its heights: one call per output.
     fn renders(
         &self,
-        _scene: &Scene,
-        _footprint: &Footprint,
-        _stem: &str,
+        scene: &Scene,
+        footprint: &Footprint,
+        stem: &str,
     ) -> Result<Vec<NamedBytes>, String> {
-        Ok(Vec::new())
+        let outputs = &self.options.outputs;
+        let mut files = Vec::new();
+        if outputs.scene {
+            files.extend(self.scene(scene, footprint, stem)?);
+        }
+        Ok(files)
     }
 
     fn picture(
@@ -314,7 +324,7 @@ mod tests {
         let (product, read) = build(None);
         assert_eq!(product.record.reason, "");
         let files: Vec<&str> = product.files.iter().map(|(name, _)| name.as_str()).collect();
-        assert_eq!(files, ["image.npz", "image.tif", "image.scene.safetensors"]);
+        assert_eq!(files, ["image.scene.safetensors", "image.npz", "image.tif"]);
         let of = |part: &str| read.iter().filter(|key| key.starts_with(part)).count();
         assert!(
             of("unet_model.dino_model.") > 10 && of("unet_model.decoder.") > 10 && of("mlp.") > 5

@@ -49,6 +49,8 @@ pub struct RunFacts<'a> {
     pub summary: &'a RunSummary,
     pub options: &'a InferOptions,
     pub checkpoint: Option<&'a Checkpoint>,
+    /// What led to the checkpoint.
+    pub origin: &'a str,
 }
 
 /// Writes everything that describes the run. `facts` is absent after a merge.
@@ -109,7 +111,7 @@ fn run_json(facts: &RunFacts<'_>) -> Value {
         "input": facts.options.input,
         "weights": facts.checkpoint.map(|checkpoint| json!({
             "folder": checkpoint.folder(),
-            "origin": facts.options.weights_origin,
+            "origin": facts.origin,
             "sha256": hashed.then(|| whole_hash(checkpoint)),
         })),
         "machine": {

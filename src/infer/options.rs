@@ -74,8 +74,6 @@ pub struct InferOptions {
     pub root: Option<PathBuf>,
     /// Checkpoint folder; not needed where the input is scene files alone.
     pub weights: Option<PathBuf>,
-    /// Where the checkpoint was found, in words, for `run.json`.
-    pub weights_origin: String,
     /// Where the network runs.
     pub device: Device,
     /// Output folder.
@@ -112,7 +110,6 @@ impl InferOptions {
             input,
             root: None,
             weights,
-            weights_origin: "given".into(),
             device: Device::Cpu,
             out,
             outputs: Outputs::default(),

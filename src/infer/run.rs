@@ -34,6 +34,8 @@ pub struct Prepared {
     options: InferOptions,
     entries: Vec<Entry>,
     checkpoint: Option<Checkpoint>,
+    /// What led to the checkpoint, in words.
+    origin: String,
     identity: Option<Identity>,
     model: Option<Model>,
     /// The plan.
@@ -133,15 +135,8 @@ pub fn prepare(mut options: InferOptions) -> Result<Prepared, InferError> {
     let entries = list(&options.input, options.root.as_deref())?;
     check_collisions(&options, &entries)?;
     let pictures = entries.iter().any(|entry| entry.kind == Kind::Picture);
-    let checkpoint = match (&options.weights, pictures) {
-        (Some(folder), true) => Some(Checkpoint::open(folder)?),
-        (None, true) => {
-            return Err(InferError::Input(
-                "no weights: give the folder of a checkpoint with --weights".into(),
-            ));
-        }
-        (_, false) => None,
-    };
+    let weights = if pictures { Some(find_weights(options.weights.as_deref())?) } else { None };
+    let checkpoint = weights.as_ref().map(|found| Checkpoint::open(&found.folder)).transpose()?;
     let identity = checkpoint.as_ref().map(Identity::of).transpose()?;
     // A second mapping of the same file, for the network.
     let model = match &checkpoint {
@@ -160,7 +155,24 @@ pub fn prepare(mut options: InferOptions) -> Result<Prepared, InferError> {
     let inputs = Inputs { pictures, identity: identity.as_ref(), side };
     let plan = explain::resolve(&options, &inputs);
     let warnings = ground_warnings(&options, &entries);
-    Ok(Prepared { options, entries, checkpoint, identity, model, plan, warnings })
+    let origin = weights.map_or_else(String::new, |found| found.origin);
+    Ok(Prepared { options, entries, checkpoint, origin, identity, model, plan, warnings })
+}
+
+/// A checkpoint folder, and what led there.
+struct Found {
+    folder: PathBuf,
+    origin: String,
+}
+
+/// The one place where weights are looked for.
+fn find_weights(argument: Option<&Path>) -> Result<Found, InferError> {
+    match argument {
+        Some(folder) => Ok(Found { folder: folder.to_owned(), origin: "--weights".into() }),
+        None => Err(InferError::Input(
+            "no weights: give the folder of a checkpoint with --weights".into(),
+        )),
+    }
 }
 
 /// No output may replace an input.
@@ -269,7 +281,8 @@ impl Prepared {
             journal.complete(options.shard, self.entries.len() as u64)?;
             if options.shard.is_whole() {
                 let checkpoint = self.checkpoint.as_ref();
-                let facts = RunFacts { summary: &summary, options, checkpoint };
+                let origin = self.origin.as_str();
+                let facts = RunFacts { summary: &summary, options, checkpoint, origin };
                 manifest::write(out, &header, records, Some(&facts))?;
             }
         }
