@@ -169,7 +169,9 @@ impl Workshop<'_> {
         let (scene, notes) = Scene::load_with_notes(path).map_err(|error| error.to_string())?;
         let noted = notes.get(NOTE_FOOTPRINT);
         let noted: Option<Footprint> = noted.and_then(|json| serde_json::from_str(json).ok());
-        let known = noted.is_some();
+        // A scene whose size was assumed when it was saved is no better known now.
+        let known =
+            noted.as_ref().is_some_and(|noted| *noted != Footprint::of_training(noted.size_px));
         // A scene by itself has no pixels; any number stands for the training's ground.
         let mut footprint = noted.unwrap_or_else(|| Footprint::of_training([self.options.size; 2]));
         if let Some(gsd_m) = self.options.gsd_m {

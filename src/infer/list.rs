@@ -112,9 +112,8 @@ fn from_folder(folder: &Path) -> Result<Vec<PathBuf>, InferError> {
         let name = path.file_name().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
         !name.starts_with('.') && wanted(&name)
     };
-    let picture = |name: &str| {
-        name.rsplit_once('.').is_some_and(|(_, end)| PICTURES.iter().any(|known| *known == end))
-    };
+    let picture =
+        |name: &str| name.rsplit_once('.').is_some_and(|(_, end)| PICTURES.contains(&end));
     let pictures: Vec<PathBuf> = all.iter().filter(|p| named(p, &picture)).cloned().collect();
     if !pictures.is_empty() {
         return Ok(pictures);

@@ -157,7 +157,7 @@ fn table(records: &[Record]) -> Result<Table, TableError> {
         number("ground_height_m", "Height on the ground, metres", &|r| r.ground_m.map(|m| m[1])),
         text(
             "ground_from",
-            "What says so: place (name or georeference), option (--gsd), assumed (nothing does)",
+            "What says so: place (name, georeference or scene file), option (--gsd), assumed (nothing does)",
             &|r| r.ground_from.map_or("", |from| from.name()).to_owned(),
         ),
         number("metres_per_unit", "Metres per 1.0 of arr_0", &|r| r.metres_per_unit),

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum GroundFrom {
-    /// Its name or georeference.
+    /// Its name or georeference, or the scene file.
     Place,
     /// `--gsd`.
     Option,
