@@ -4,6 +4,7 @@ mod completions;
 mod console;
 mod dsm_bench;
 mod eval;
+mod infer;
 mod model;
 mod run;
 mod simulate;
@@ -34,6 +35,7 @@ pub(crate) enum Command {
     DsmBench(dsm_bench::Args),
     Eval(Box<eval::Args>),
     Model(model::Args),
+    Infer(Box<infer::Args>),
     Run(run::Args),
     Simulate(simulate::Args),
     Completions(completions::Args),
@@ -50,6 +52,7 @@ pub(crate) fn dispatch(command: &Command) -> anyhow::Result<ExitCode> {
         Command::DsmBench(args) => dsm_bench::run(args),
         Command::Eval(args) => eval::run(args),
         Command::Model(args) => model::run(args),
+        Command::Infer(args) => infer::run(args),
         Command::Run(args) => run::run(args),
         Command::Simulate(args) => simulate::run(args),
         Command::Completions(args) => completions::run(args),

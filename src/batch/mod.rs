@@ -2,17 +2,29 @@
 //!
 //! A batch never dies of one item: each ends as done, skipped (with a reason) or failed (with an
 //! error), and the exit code says which happened.
+//!
+//! A subcommand brings its [`Record`] and a function from an item to a [`Product`]; [`Batch::run`] does
+//! the rest: threads, whole files, a [`Journal`] from which a second run continues. [`join`] makes one
+//! batch of its shards.
 
 mod atomic;
 mod exit;
 mod interrupt;
+mod join;
+mod journal;
+mod pipeline;
 mod progress;
+mod record;
 mod shard;
 
 pub use atomic::{AtomicFile, sync_folder, write_atomic};
 pub use exit::ExitCode;
 pub use interrupt::Interrupt;
+pub use join::{Joined, join};
+pub use journal::{FolderLock, Header, Journal, JournalError, Journals, STATE_FOLDER};
+pub use pipeline::{Batch, remove_leftovers};
 pub use progress::Progress;
+pub use record::{OutputFile, Product, Record, Verify, Words, count_reasons, count_status};
 pub use shard::Shard;
 
 use serde::{Deserialize, Serialize};

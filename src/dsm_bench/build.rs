@@ -2,26 +2,22 @@
 
 use super::BenchError;
 use super::images::ImageEntry;
-use super::item::{Product, Workshop};
-use super::journal::{FolderLock, Header, Journal, Journals};
+use super::item::Workshop;
 use super::manifest::{self, RunFacts};
-use super::options::{BuildOptions, GridKind, Verify};
+use super::options::{BuildOptions, GridKind};
 use super::plan::{self, Budget};
 use super::record::Record;
 use super::tiles::TileSet;
-use super::writer::{WRITERS, keep_records, write_products};
-use crate::batch::{ExitCode, Interrupt, Progress, Status};
+use crate::batch::{
+    Batch, ExitCode, FolderLock, Header, Interrupt, Journal, Journals, Progress, Status,
+    count_reasons, count_status, remove_leftovers,
+};
 use crate::grid::ImageGrid;
 use crate::lidar::{FitErrors, PixelMap, PixelToCrs, TransformForm};
 use crate::plan::Plan;
 use rayon::prelude::*;
 use serde::Serialize;
-use sha2::{Digest, Sha256};
 use std::collections::HashMap;
-use std::path::Path;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::mpsc::{channel, sync_channel};
-use std::sync::{Arc, Mutex};
 
 /// A build whose inputs are opened and whose plan is resolved; nothing is written yet.
 pub struct Prepared {
@@ -255,12 +251,12 @@ impl Prepared {
         let _lock = FolderLock::take(out, self.options.shard)?;
         let header = Header {
             plan_hash: self.plan.hash(),
-            benchmark: manifest::benchmark_json(&self.plan, &self.dsm, self.dtm.as_ref()),
+            description: manifest::benchmark_json(&self.plan, &self.dsm, self.dtm.as_ref()),
         };
         let (mut journal, earlier) =
             Journal::open(out, self.options.shard, &header, self.options.overwrite)?;
         if self.options.shard.is_whole() {
-            remove_leftovers(out);
+            remove_leftovers(out, |name| name.starts_with("satellite_"));
         }
         let workshop = Workshop {
             options: &self.options,
@@ -273,15 +269,22 @@ impl Prepared {
         let progress = Progress::new("building", "images", todo.len(), self.options.quiet);
         let mut records = kept;
         let kept_count = records.iter().filter(|r| r.status == Status::Done).count();
-        let disk = Interrupt::default();
-        let result =
-            self.work(&workshop, &todo, &mut journal, &progress, stop, &disk, &mut records);
+        let disk_full = Interrupt::default();
+        let batch = Batch {
+            out,
+            threads: self.options.threads,
+            progress: &progress,
+            stop,
+            disk_full: &disk_full,
+        };
+        let build = |entry: &&ImageEntry| Some(workshop.build(entry));
+        let result = batch.run(&todo, build, &mut journal, |record| records.push(record));
         let seconds = progress.finish();
         result?;
         let mut summary = summarise(&records, mine.len());
         summary.kept = kept_count;
         summary.interrupted = stop.requested() && summary.not_started > 0;
-        summary.disk_full = disk.requested();
+        summary.disk_full = disk_full.requested();
         summary.seconds = seconds;
         summary.bad_tiles = self
             .dsm
@@ -309,7 +312,7 @@ impl Prepared {
     fn sort_out<'a>(
         &'a self,
         mine: &'a [ImageEntry],
-        earlier: Journals,
+        earlier: Journals<Record>,
         workshop: &Workshop<'_>,
     ) -> (Vec<Record>, Vec<&'a ImageEntry>) {
         let mut known: HashMap<String, Record> = earlier.records;
@@ -327,79 +330,15 @@ impl Prepared {
     fn still_holds(&self, record: &Record, entry: &ImageEntry, workshop: &Workshop<'_>) -> bool {
         record.status != Status::Failed
             && record.inputs == workshop.fingerprint(entry)
-            && record.outputs.iter().all(|output| {
-                let path = self.options.out.join(&output.file);
-                match self.options.verify {
-                    Verify::Quick => {
-                        std::fs::metadata(&path).is_ok_and(|m| m.len() == output.bytes)
-                    }
-                    Verify::Hashes => std::fs::read(&path).is_ok_and(|bytes| {
-                        crate::plan::hex(&Sha256::digest(bytes)) == output.sha256
-                    }),
-                }
-            })
-    }
-
-    #[expect(clippy::too_many_arguments, reason = "the ends of one pipeline, each used once")]
-    fn work(
-        &self,
-        workshop: &Workshop<'_>,
-        todo: &[&ImageEntry],
-        journal: &mut Journal,
-        progress: &Progress,
-        stop: &Interrupt,
-        disk: &Interrupt,
-        records: &mut Vec<Record>,
-    ) -> Result<(), BenchError> {
-        let out = &self.options.out;
-        let next = AtomicUsize::new(0);
-        // A short queue: finished products wait in memory for the disk.
-        let (products, queue) = sync_channel::<Product>(2 * WRITERS);
-        let queue = Arc::new(Mutex::new(queue));
-        let (finished, incoming) = channel::<Record>();
-        let mut result = Ok(());
-        std::thread::scope(|scope| {
-            for _ in 0..WRITERS {
-                let (queue, finished) = (Arc::clone(&queue), finished.clone());
-                scope.spawn(move || write_products(out, &queue, &finished, disk));
-            }
-            drop(finished);
-            for _ in 0..self.options.threads.max(1) {
-                let products = products.clone();
-                let next = &next;
-                scope.spawn(move || {
-                    while !stop.requested() && !disk.requested() {
-                        let Some(entry) = todo.get(next.fetch_add(1, Ordering::Relaxed)) else {
-                            return;
-                        };
-                        if products.send(workshop.build(entry)).is_err() {
-                            return;
-                        }
-                    }
-                });
-            }
-            drop(products);
-            result = keep_records(out, &incoming, journal, progress, |record| records.push(record));
-            if result.is_err() {
-                // The journal cannot be kept: let the others run out instead of working in vain.
-                disk.request();
-                while incoming.recv().is_ok() {}
-            }
-        });
-        Ok(result?)
+            && record
+                .outputs
+                .iter()
+                .all(|output| output.holds(&self.options.out, self.options.verify))
     }
 }
 
 fn summarise(records: &[Record], images: usize) -> RunSummary {
-    let count = |status| records.iter().filter(|r| r.status == status).count();
-    let mut reasons: HashMap<String, usize> = HashMap::new();
-    for record in records.iter().filter(|r| r.status != Status::Done) {
-        *reasons
-            .entry(format!("{}: {}", record.status.name(), generic(&record.reason)))
-            .or_default() += 1;
-    }
-    let mut reasons: Vec<(String, usize)> = reasons.into_iter().collect();
-    reasons.sort_by(|a, b| b.1.cmp(&a.1).then_with(|| a.0.cmp(&b.0)));
+    let count = |status| count_status(records, status);
     RunSummary {
         images,
         done: count(Status::Done),
@@ -410,7 +349,7 @@ fn summarise(records: &[Record], images: usize) -> RunSummary {
             .iter()
             .filter(|r| r.reason.contains("--coverage mosaic would leave"))
             .count(),
-        reasons,
+        reasons: count_reasons(records, generic),
         flagged: records.iter().filter(|r| !r.flags.is_empty()).count(),
         uncertain_px: records.iter().filter_map(|r| r.uncertain_px).sum(),
         ..RunSummary::default()
@@ -432,20 +371,6 @@ fn generic(reason: &str) -> String {
         }
     }
     text
-}
-
-/// Temporary files of a run that was killed.
-fn remove_leftovers(out: &Path) {
-    let Ok(items) = std::fs::read_dir(out) else { return };
-    for item in items.filter_map(Result::ok) {
-        let name = item.file_name().to_string_lossy().into_owned();
-        if name.starts_with(".satellite_")
-            && name.ends_with(".part")
-            && let Err(error) = std::fs::remove_file(item.path())
-        {
-            tracing::warn!("cannot remove the leftover {name}: {error}");
-        }
-    }
 }
 
 #[cfg(test)]

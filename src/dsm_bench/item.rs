@@ -3,10 +3,10 @@
 use super::layers::LayerSource;
 use super::options::{BuildOptions, GridKind, TransformChoice};
 use super::plan::Budget;
-use super::record::{OutputFile, Record};
+use super::record::Record;
 use super::tiles::TileSet;
 use super::{Coverage, ImageEntry};
-use crate::batch::Status;
+use crate::batch::{OutputFile, Product, Status};
 use crate::grid::{ImageGrid, PixelPoint};
 use crate::lidar::{
     PixelMap, PixelToCrs, TransformForm, WarpError, WarpSettings, WarpStatistics, WindowSource,
@@ -16,7 +16,6 @@ use crate::raster::geotiff::{CogSpec, encode_cog};
 use crate::raster::npz::{self, Compression, NpyArray, NpyData};
 use crate::raster::preview;
 use crate::units::LinearUnit;
-use sha2::{Digest, Sha256};
 
 /// What a worker needs to know of the run.
 pub struct Workshop<'a> {
@@ -24,12 +23,6 @@ pub struct Workshop<'a> {
     pub budget: Budget,
     pub dsm: &'a TileSet,
     pub dtm: Option<&'a TileSet>,
-}
-
-/// A finished image: its record and the files to be written.
-pub struct Product {
-    pub record: Record,
-    pub files: Vec<(String, Vec<u8>)>,
 }
 
 /// Why an image gave nothing: a status and the reason in words.
@@ -56,7 +49,7 @@ struct Warped {
 
 impl Workshop<'_> {
     /// Builds one image. Never fails as a whole: the record says what happened.
-    pub fn build(&self, entry: &ImageEntry) -> Product {
+    pub fn build(&self, entry: &ImageEntry) -> Product<Record> {
         let mut record = Record::without_output(&entry.stem, Status::Done, String::new());
         let mut files = Vec::new();
         if let Err(NoDsm(status, reason)) = self.fill(entry, &mut record, &mut files) {
@@ -64,14 +57,7 @@ impl Workshop<'_> {
             record.reason = reason;
             files.clear();
         }
-        record.outputs = files
-            .iter()
-            .map(|(file, bytes)| OutputFile {
-                file: file.clone(),
-                bytes: bytes.len() as u64,
-                sha256: crate::plan::hex(&Sha256::digest(bytes)),
-            })
-            .collect();
+        record.outputs = files.iter().map(|(file, bytes)| OutputFile::of(file, bytes)).collect();
         Product { record, files }
     }
 

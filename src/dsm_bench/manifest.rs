@@ -5,10 +5,9 @@
 
 use super::BenchError;
 use super::build::RunSummary;
-use super::journal::Header;
 use super::record::Record;
 use super::tiles::TileSet;
-use crate::batch::{Status, write_atomic};
+use crate::batch::{Header, Status, count_status, write_atomic};
 use crate::lidar::CacheStatistics;
 use crate::plan::Plan;
 use crate::table::{Column, Table, TableError, wkb};
@@ -97,8 +96,8 @@ pub fn write(
     let table = table(&records).map_err(table_error)?;
     table.write_csv(&out.join("manifest.csv")).map_err(table_error)?;
     table.write_parquet(&out.join("manifest.parquet")).map_err(table_error)?;
-    let count = |status| records.iter().filter(|r| r.status == status).count();
-    let mut benchmark = header.benchmark.clone();
+    let count = |status| count_status(&records, status);
+    let mut benchmark = header.description.clone();
     benchmark["images"] = json!({
         "total": records.len(),
         "done": count(Status::Done),

@@ -11,7 +11,6 @@ mod build;
 mod compare;
 mod images;
 mod item;
-mod journal;
 mod layers;
 mod manifest;
 mod merge;
@@ -20,17 +19,17 @@ mod plan;
 mod record;
 mod stac;
 mod tiles;
-mod writer;
 
 pub use build::{Prepared, RunSummary, TransformMeasure, prepare};
 pub use compare::{CompareError, Comparison, ErrorSummary, compare};
 pub use images::{ImageEntry, ImageSource};
-pub use journal::JournalError;
 pub use layers::Coverage;
 pub use merge::merge;
-pub use options::{BuildOptions, GridKind, Quantisation, TransformChoice, Verify};
-pub use record::{OutputFile, Record};
+pub use options::{BuildOptions, GridKind, Quantisation, TransformChoice};
+pub use record::Record;
 pub use tiles::{Tile, TileSet};
+
+pub use crate::batch::{JournalError, OutputFile, Verify};
 
 use crate::crs::CrsError;
 use crate::raster::RasterError;

@@ -1,7 +1,7 @@
 //! What a user can ask of a benchmark build.
 
 use super::{Coverage, ImageSource};
-use crate::batch::Shard;
+use crate::batch::{Shard, Verify};
 use crate::lidar::{EdgeRule, Resampling, TransformForm};
 use crate::raster::NodataRule;
 use crate::units::LinearUnit;
@@ -56,17 +56,6 @@ impl TransformChoice {
 pub struct Quantisation {
     /// Step in metres; the error is at most half of it.
     pub step_m: f64,
-}
-
-/// How much of an earlier run is checked before its items count as done.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Verify {
-    /// Size and time of inputs, size of outputs.
-    #[default]
-    Quick,
-    /// And the SHA-256 of every output.
-    Hashes,
 }
 
 /// Everything that `sat3d dsm-bench build` can be asked for.

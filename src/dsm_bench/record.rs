@@ -1,18 +1,7 @@
 //! What is known of one image after its work: a line of the journal, a row of the manifest.
 
-use crate::batch::Status;
+use crate::batch::{self, OutputFile, Status, Words};
 use serde::{Deserialize, Serialize};
-
-/// One file written for an image.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct OutputFile {
-    /// Path relative to the output folder, `/` between parts.
-    pub file: String,
-    /// Size in bytes.
-    pub bytes: u64,
-    /// SHA-256, hexadecimal.
-    pub sha256: String,
-}
 
 /// How one image ended, with what is worth knowing of its DSM. Holds no times, hosts or thread
 /// counts: the same input gives the same record.
@@ -92,5 +81,38 @@ impl Record {
             flags: Vec::new(),
             outputs: Vec::new(),
         }
+    }
+}
+
+impl batch::Record for Record {
+    const WORDS: Words = Words {
+        command: "dsm-bench build",
+        holds: "a benchmark built",
+        anew: "build it anew",
+        other_part: "built with another plan than the other parts; parts of one benchmark need equal options and tiles",
+        other_list: "the shards saw image lists of different lengths; run them again with the same --vigor or --images",
+        redo: "build that shard again with --verify hashes",
+    };
+
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn status(&self) -> Status {
+        self.status
+    }
+
+    fn reason(&self) -> &str {
+        &self.reason
+    }
+
+    fn outputs(&self) -> &[OutputFile] {
+        &self.outputs
+    }
+
+    fn fail(&mut self, reason: String) {
+        self.status = Status::Failed;
+        self.reason = reason;
+        self.outputs.clear();
     }
 }

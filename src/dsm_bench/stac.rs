@@ -1,8 +1,8 @@
 //! The benchmark as a STAC collection: one item per finished DSM.
 
 use super::BenchError;
-use super::record::{OutputFile, Record};
-use crate::batch::Status;
+use super::record::Record;
+use crate::batch::{OutputFile, Status};
 use crate::grid::{ImageGrid, LonLat, PixelPoint};
 use crate::stac::{Asset, Collection, Item, ProjectedGrid, StacError};
 use serde_json::{Map, Value, json};

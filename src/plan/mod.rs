@@ -60,7 +60,7 @@ pub struct Step {
 pub struct Plan {
     /// The subcommand, for example `dsm-bench build`.
     pub command: String,
-    /// Horizontal budget asked for, metres.
+    /// Horizontal budget asked for, metres; 0 for a command without one.
     pub tolerance_m: f64,
     /// All parameters that the output's bytes depend on.
     pub parameters: serde_json::Map<String, serde_json::Value>,
@@ -102,12 +102,11 @@ impl Plan {
     #[must_use]
     pub fn explain(&self) -> String {
         let mut out = String::new();
-        let _ = writeln!(
-            out,
-            "plan for `sat3d {}`  (tolerance {} m)",
-            self.command,
-            metres(self.tolerance_m)
-        );
+        let tolerance = match self.tolerance_m {
+            0.0 => String::new(),
+            tolerance => format!("  (tolerance {} m)", metres(tolerance)),
+        };
+        let _ = writeln!(out, "plan for `sat3d {}`{tolerance}", self.command);
         let width = |f: fn(&Step) -> usize, title: &str| {
             self.steps.iter().map(f).max().unwrap_or(0).max(title.len())
         };

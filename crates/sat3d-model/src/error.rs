@@ -105,6 +105,9 @@ pub enum ModelError {
         /// The switch that left it out.
         why: String,
     },
+    /// The network's output and the point head make no scene.
+    #[error(transparent)]
+    Scene(#[from] crate::scene::SceneError),
     /// The compute backend failed, for want of memory for example.
     #[error("{stage} on the device: {why}")]
     Backend {

@@ -5,11 +5,33 @@ use crate::error::ModelError;
 use crate::field::{FieldInputs, PointHead};
 use crate::network::{BurnNetwork, Device, Network};
 use crate::preprocess::{self, Image8};
+use crate::scene::{Scene, SceneParts, SkyParts};
 use crate::weights::{Checkpoint, TensorSource, point_head};
 use std::path::Path;
 
 /// A model ready to run. Only the point head is read at once; the network's modules are read when an
 /// output first needs them.
+///
+/// ```
+/// use sat3d_model::render::RenderOptions;
+/// use sat3d_model::weights::rule::{tiny_overrides, write_checkpoint};
+/// use sat3d_model::{Device, Image8, Model};
+///
+/// // Made-up weights of a small network; a released checkpoint is a folder like this one.
+/// let folder = std::env::temp_dir().join(format!("sat3d-model-{}", std::process::id()));
+/// let config = include_str!("../fixtures/tiny/model/config.json");
+/// write_checkpoint(&folder, config, tiny_overrides())?;
+///
+/// let model = Model::load(&folder, &Device::Cpu)?;
+/// // A satellite image, RGB, north up, of any size; here a grey one.
+/// let image = Image8::new(64, 64, 3, vec![128; 64 * 64 * 3])?;
+/// // 64.48 m of ground under the crop: 32.24 m of height per cube unit by the published scoring.
+/// let scene = model.scene(&image, None, 32.24)?;
+/// let dsm = scene.dsm(32, &RenderOptions::default());
+/// assert!(dsm.height.iter().all(|height| (-0.1..=1.0).contains(height)));
+/// # std::fs::remove_dir_all(&folder).ok();
+/// # Ok::<(), sat3d_model::ModelError>(())
+/// ```
 pub struct Model {
     /// The network's description.
     pub config: Config,
@@ -63,5 +85,22 @@ impl Model {
             activation: self.config.activation,
             scale: self.config.scale as f32,
         })
+    }
+
+    /// The scene of a satellite image of any size (RGB, north up), to be rendered as often as wanted.
+    /// `sky` is needed for street views alone; `metres_per_unit` is the height of one cube unit (32.24
+    /// by the published scoring).
+    ///
+    /// # Errors
+    /// Those of [`Model::field_inputs`]; [`ModelError::Scene`] where the weights make no field (values
+    /// that are not finite).
+    pub fn scene(
+        &self,
+        image: &Image8,
+        sky: Option<SkyParts>,
+        metres_per_unit: f64,
+    ) -> Result<Scene, ModelError> {
+        let inputs = self.field_inputs(image)?;
+        Ok(Scene::new(SceneParts { inputs, head: self.head.clone(), sky, metres_per_unit })?)
     }
 }

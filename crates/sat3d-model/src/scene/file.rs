@@ -4,14 +4,15 @@
 //! `head.net0.bias`, likewise `net1_density`, `net1_feature`, `style_squ` and `grd_color_convert` (as in the
 //! checkpoint, outputs x inputs), and with a sky `sky.style` (codes) and `sky.map` (channels, rows, columns).
 //! The file's `__metadata__` holds `format` = `sat3d-scene`, `version` = `1`, `representation` (`oneplane`,
-//! `oneplane_multi`, `triplane`), `activation` (`mipnerf`, `relu`), `scale` and `metres_per_unit`.
+//! `oneplane_multi`, `triplane`), `activation` (`mipnerf`, `relu`), `scale` and `metres_per_unit`, and
+//! after them whatever notes its writer had.
 
 use super::{Scene, SceneError, SceneParts, SkyParts};
 use crate::field::{DensityActivation, FieldInputs, Linear, PointHead, Representation};
 use crate::tensor::Grid;
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -64,9 +65,22 @@ impl Scene {
     /// # Errors
     /// When the file cannot be written.
     pub fn save(&self, path: &Path) -> Result<(), SceneFileError> {
-        let bytes = serialise(&self.parts)
+        let bytes = self
+            .to_bytes(&BTreeMap::new())
             .map_err(|source| SceneFileError::Safetensors { path: path.into(), source })?;
         write_whole(path, &bytes).map_err(|source| SceneFileError::Io { path: path.into(), source })
+    }
+
+    /// The content of the scene's file. `notes` become entries of its metadata: what the caller wants
+    /// to find again beside the scene, such as its place on Earth. An entry of the scene's own wins.
+    ///
+    /// # Errors
+    /// When a tensor's shape and values disagree.
+    pub fn to_bytes(
+        &self,
+        notes: &BTreeMap<String, String>,
+    ) -> Result<Vec<u8>, safetensors::SafeTensorError> {
+        serialise(&self.parts, notes)
     }
 
     /// Reads a scene that [`Scene::save`] has written.
@@ -74,10 +88,22 @@ impl Scene {
     /// # Errors
     /// When the file cannot be read, is cut off, or does not hold a scene.
     pub fn load(path: &Path) -> Result<Self, SceneFileError> {
+        Ok(Self::load_with_notes(path)?.0)
+    }
+
+    /// Reads a scene and all entries of its metadata, the notes of [`Scene::to_bytes`] among them.
+    ///
+    /// # Errors
+    /// Those of [`Scene::load`].
+    pub fn load_with_notes(
+        path: &Path,
+    ) -> Result<(Self, BTreeMap<String, String>), SceneFileError> {
         let bytes = std::fs::read(path)
             .map_err(|source| SceneFileError::Io { path: path.into(), source })?;
-        let parts = Reader { path, bytes: &bytes }.parts()?;
-        Self::new(parts).map_err(|source| SceneFileError::Scene { path: path.into(), source })
+        let (parts, metadata) = Reader { path, bytes: &bytes }.parts()?;
+        let scene = Self::new(parts)
+            .map_err(|source| SceneFileError::Scene { path: path.into(), source })?;
+        Ok((scene, metadata.into_iter().collect()))
     }
 }
 
@@ -89,7 +115,10 @@ fn layers(head: &PointHead) -> [&Linear; 5] {
     [&head.net0, &head.density, &head.feature, &head.style, &head.color]
 }
 
-fn serialise(parts: &SceneParts) -> Result<Vec<u8>, safetensors::SafeTensorError> {
+fn serialise(
+    parts: &SceneParts,
+    notes: &BTreeMap<String, String>,
+) -> Result<Vec<u8>, safetensors::SafeTensorError> {
     let mut tensors: Vec<(String, Vec<usize>, Vec<u8>)> = Vec::new();
     let mut grid = |name: &str, grid: &Grid| {
         let shape = vec![grid.channels, grid.height, grid.width];
@@ -126,8 +155,9 @@ fn serialise(parts: &SceneParts) -> Result<Vec<u8>, safetensors::SafeTensorError
         ("scale", parts.inputs.scale.to_string()),
         ("metres_per_unit", parts.metres_per_unit.to_string()),
     ];
-    let metadata: HashMap<String, String> =
-        metadata.into_iter().map(|(key, value)| (key.to_owned(), value)).collect();
+    let own = metadata.into_iter().map(|(key, value)| (key.to_owned(), value));
+    let notes = notes.iter().map(|(key, value)| (key.clone(), value.clone()));
+    let metadata: HashMap<String, String> = notes.chain(own).collect();
     let mut bytes = safetensors::serialize(views, Some(metadata.clone()))?;
     sort_metadata(&mut bytes, &metadata);
     Ok(bytes)
@@ -137,7 +167,7 @@ fn serialise(parts: &SceneParts) -> Result<Vec<u8>, safetensors::SafeTensorError
 /// from run to run, so the entries are put in order in place (their length does not change).
 fn sort_metadata(bytes: &mut [u8], metadata: &HashMap<String, String>) {
     const OPENING: &[u8] = b"\"__metadata__\":";
-    let sorted: std::collections::BTreeMap<_, _> = metadata.iter().collect();
+    let sorted: BTreeMap<_, _> = metadata.iter().collect();
     let Ok(text) = serde_json::to_vec(&sorted) else { return };
     let Some(at) = bytes.windows(OPENING.len()).position(|window| window == OPENING) else {
         return;
@@ -181,7 +211,7 @@ impl Reader<'_> {
         SceneFileError::Content { path: self.path.into(), what: what.into() }
     }
 
-    fn parts(&self) -> Result<SceneParts, SceneFileError> {
+    fn parts(&self) -> Result<(SceneParts, HashMap<String, String>), SceneFileError> {
         let wrong = |source| SceneFileError::Safetensors { path: self.path.into(), source };
         let (_, header) = SafeTensors::read_metadata(self.bytes).map_err(wrong)?;
         let metadata = header.metadata().clone().unwrap_or_default();
@@ -225,7 +255,7 @@ impl Reader<'_> {
             false => None,
         };
         let layer = |index: usize| self.layer(&tensors, LAYERS[index]);
-        Ok(SceneParts {
+        let parts = SceneParts {
             inputs: FieldInputs {
                 map: self.grid(&tensors, "map")?,
                 representation,
@@ -242,7 +272,8 @@ impl Reader<'_> {
             },
             sky,
             metres_per_unit: number("metres_per_unit")?,
-        })
+        };
+        Ok((parts, metadata))
     }
 
     fn tensor<const RANK: usize>(

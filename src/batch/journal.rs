@@ -1,17 +1,18 @@
 //! The journal of an output folder: what is finished, so that a later run continues.
 //!
-//! `.sat3d/journal.<i>-of-<n>.jsonl` holds a header (the plan's hash and what goes into
-//! `benchmark.json`), then one [`Record`] per finished image, then a line that says that the shard
-//! is complete. Records are appended only after their outputs are durable. A line torn by a crash is
-//! cut off on the next start.
+//! `.sat3d/journal.<i>-of-<n>.jsonl` holds a header (the plan's hash and what goes into the file that
+//! describes the whole run), then one [`Record`] per finished item, then a line that says that the
+//! shard is complete. Records are appended only after their outputs are durable. A line torn by a
+//! crash is cut off on the next start.
 
-use super::record::Record;
-use crate::batch::{Shard, Status, sync_folder};
+use super::record::{Record, Words};
+use super::{Shard, Status, sync_folder};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::HashMap;
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Seek, Write};
+use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 
 /// Folder for the journal and the locks, inside the output folder.
@@ -37,12 +38,44 @@ pub enum JournalError {
         path: PathBuf,
     },
     /// The folder holds results of another plan.
-    #[error("{}: this folder holds a benchmark built with another plan ({difference}); use another --out, or --overwrite to build it anew", path.display())]
+    #[error("{}: this folder holds {} with another plan ({difference}); use another --out, or --overwrite to {}", path.display(), words.holds, words.anew)]
     OtherPlan {
         /// The output folder.
         path: PathBuf,
+        /// The subcommand's words.
+        words: Words,
         /// Which parameters differ, old and new.
         difference: String,
+    },
+    /// The folder holds results of another subcommand.
+    #[error("{}: this folder holds results of `sat3d {command}`; use another --out", path.display())]
+    OtherCommand {
+        /// The output folder.
+        path: PathBuf,
+        /// The subcommand.
+        command: String,
+    },
+    /// Parts of different plans.
+    #[error("{}: {}", path.display(), words.other_part)]
+    OtherPart {
+        /// The part that differs from those before it.
+        path: PathBuf,
+        /// The subcommand's words.
+        words: Words,
+    },
+    /// Shards that worked on different lists of items.
+    #[error("{}", words.other_list)]
+    OtherList {
+        /// The subcommand's words.
+        words: Words,
+    },
+    /// A file whose hash is not the one in its journal.
+    #[error("{}: the file is not what its journal says; {}", path.display(), words.redo)]
+    Changed {
+        /// The file.
+        path: PathBuf,
+        /// The subcommand's words.
+        words: Words,
     },
     /// A journal line that is not ours.
     #[error("{}: line {line} is no journal entry ({source}); remove the file to start anew", path.display())]
@@ -64,7 +97,10 @@ pub enum JournalError {
     },
 }
 
-fn io_error(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> JournalError {
+pub(super) fn io_error(
+    action: &'static str,
+    path: &Path,
+) -> impl FnOnce(io::Error) -> JournalError {
     let path = path.to_owned();
     move |source| JournalError::Io { action, path, source }
 }
@@ -74,30 +110,37 @@ fn io_error(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> Jour
 pub struct Header {
     /// Hash of the plan.
     pub plan_hash: String,
-    /// What `benchmark.json` will say (plan, tiles, software).
-    pub benchmark: Value,
+    /// What the file that describes the run will say: the plan under `plan`, inputs, software.
+    #[serde(alias = "benchmark")]
+    pub description: Value,
 }
 
 #[derive(Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-enum Line {
+enum Line<R> {
     Header(Header),
-    Image(Box<Record>),
+    Image(Box<R>),
     Complete { shard: Shard, items: u64 },
 }
 
 /// All journals of a folder, read.
-#[derive(Debug, Default)]
-pub struct Journals {
+#[derive(Debug)]
+pub struct Journals<R> {
     /// The header of the first journal.
     pub header: Option<Header>,
-    /// The last record of each image.
-    pub records: HashMap<String, Record>,
+    /// The last record of each item.
+    pub records: HashMap<String, R>,
     /// Shards that ran to their end, with the number of items of the whole batch.
     pub complete: Vec<(Shard, u64)>,
 }
 
-impl Journals {
+impl<R> Default for Journals<R> {
+    fn default() -> Self {
+        Self { header: None, records: HashMap::new(), complete: Vec::new() }
+    }
+}
+
+impl<R: Record> Journals<R> {
     /// Reads every journal in `out`; a folder without any gives an empty value.
     ///
     /// # Errors
@@ -113,27 +156,27 @@ impl Journals {
                 if line.is_empty() {
                     continue;
                 }
-                let parsed: Line = serde_json::from_slice(line).map_err(|source| {
+                let parsed: Line<R> = serde_json::from_slice(line).map_err(|source| {
                     JournalError::Damaged { path: path.clone(), line: k + 1, source }
                 })?;
                 match parsed {
-                    Line::Header(header) => match &all.header {
-                        Some(known) if known.plan_hash != header.plan_hash => {
-                            return Err(JournalError::OtherPlan {
-                                path: out.to_owned(),
-                                difference: difference(&known.benchmark, &header.benchmark),
-                            });
+                    Line::Header(header) => {
+                        check_command::<R>(out, &header)?;
+                        match &all.header {
+                            Some(known) if known.plan_hash != header.plan_hash => {
+                                return Err(other_plan::<R>(out, known, &header));
+                            }
+                            Some(_) => {}
+                            None => all.header = Some(header),
                         }
-                        Some(_) => {}
-                        None => all.header = Some(header),
-                    },
+                    }
                     Line::Image(record) => {
-                        let better = all.records.get(&record.name).is_none_or(|known| {
+                        let better = all.records.get(record.name()).is_none_or(|known| {
                             // A shard's failure must not hide another run's success.
-                            !(known.status == Status::Done && record.status == Status::Failed)
+                            !(known.status() == Status::Done && record.status() == Status::Failed)
                         });
                         if better {
-                            all.records.insert(record.name.clone(), *record);
+                            all.records.insert(record.name().to_owned(), *record);
                         }
                     }
                     Line::Complete { shard, items } => all.complete.push((shard, items)),
@@ -167,6 +210,24 @@ impl Journals {
         } else {
             Err(incomplete(format!("shards not finished: {}", missing.join(", "))))
         }
+    }
+}
+
+fn other_plan<R: Record>(out: &Path, known: &Header, header: &Header) -> JournalError {
+    JournalError::OtherPlan {
+        path: out.to_owned(),
+        words: R::WORDS,
+        difference: difference(&known.description, &header.description),
+    }
+}
+
+/// A folder belongs to one subcommand: records of another cannot even be read.
+fn check_command<R: Record>(out: &Path, header: &Header) -> Result<(), JournalError> {
+    match header.description["plan"]["command"].as_str() {
+        Some(command) if command != R::WORDS.command => {
+            Err(JournalError::OtherCommand { path: out.to_owned(), command: command.to_owned() })
+        }
+        _ => Ok(()),
     }
 }
 
@@ -261,12 +322,13 @@ impl FolderLock {
 
 /// A journal open for appending.
 #[derive(Debug)]
-pub struct Journal {
+pub struct Journal<R> {
     file: File,
     path: PathBuf,
+    records: PhantomData<fn(R)>,
 }
 
-impl Journal {
+impl<R: Record> Journal<R> {
     /// Opens this shard's journal for appending, beginning it with the header if it is new. The
     /// caller holds the [`FolderLock`].
     ///
@@ -277,7 +339,7 @@ impl Journal {
         shard: Shard,
         header: &Header,
         overwrite: bool,
-    ) -> Result<(Self, Journals), JournalError> {
+    ) -> Result<(Self, Journals<R>), JournalError> {
         let mut earlier = match Journals::read(out) {
             Err(JournalError::OtherPlan { .. } | JournalError::Damaged { .. }) if overwrite => {
                 Journals::default()
@@ -286,10 +348,7 @@ impl Journal {
         };
         let same = earlier.header.as_ref().is_some_and(|known| known.plan_hash == header.plan_hash);
         if let (Some(known), false, false) = (&earlier.header, same, overwrite) {
-            return Err(JournalError::OtherPlan {
-                path: out.to_owned(),
-                difference: difference(&known.benchmark, &header.benchmark),
-            });
+            return Err(other_plan::<R>(out, known, header));
         }
         if overwrite {
             for path in journal_paths(out)? {
@@ -310,7 +369,7 @@ impl Journal {
         let whole = bytes.iter().rposition(|&b| b == b'\n').map_or(0, |end| end as u64 + 1);
         file.set_len(whole).map_err(io_error("truncate", &path))?;
         file.seek(io::SeekFrom::End(0)).map_err(io_error("seek in", &path))?;
-        let mut journal = Self { file, path };
+        let mut journal = Self { file, path, records: PhantomData };
         if whole == 0 {
             journal.append(&[Line::Header(header.clone())])?;
             sync_folder(&folder).map_err(io_error("sync", &folder))?;
@@ -318,16 +377,16 @@ impl Journal {
         Ok((journal, earlier))
     }
 
-    /// Appends finished images and makes them durable.
+    /// Appends finished items and makes them durable.
     ///
     /// # Errors
     /// I/O errors; what was appended before stays.
-    pub fn record(&mut self, records: Vec<Record>) -> Result<(), JournalError> {
-        let lines: Vec<Line> = records.into_iter().map(|r| Line::Image(Box::new(r))).collect();
+    pub fn record(&mut self, records: Vec<R>) -> Result<(), JournalError> {
+        let lines: Vec<Line<R>> = records.into_iter().map(|r| Line::Image(Box::new(r))).collect();
         self.append(&lines)
     }
 
-    /// Notes that this shard of a batch of `items` images ran to its end.
+    /// Notes that this shard of a batch of `items` items ran to its end.
     ///
     /// # Errors
     /// I/O errors.
@@ -335,7 +394,7 @@ impl Journal {
         self.append(&[Line::Complete { shard, items }])
     }
 
-    fn append(&mut self, lines: &[Line]) -> Result<(), JournalError> {
+    fn append(&mut self, lines: &[Line<R>]) -> Result<(), JournalError> {
         let mut bytes = Vec::new();
         for line in lines {
             serde_json::to_writer(&mut bytes, line).map_err(|error| JournalError::Io {
@@ -357,21 +416,67 @@ mod tests {
     use super::*;
     use serde_json::json;
 
-    fn header(zoom: u32) -> Header {
-        let benchmark = json!({"plan": {"tolerance_m": 1e-6, "parameters": {"zoom": zoom}}});
-        Header { plan_hash: format!("hash{zoom}"), benchmark }
+    #[derive(Clone, Debug, Serialize, Deserialize)]
+    struct Entry {
+        name: String,
+        status: Status,
     }
 
-    fn record(name: &str, status: Status) -> Record {
-        Record::without_output(name, status, String::new())
+    impl Record for Entry {
+        const WORDS: Words = Words {
+            command: "test",
+            holds: "things made",
+            anew: "make them anew",
+            other_part: "another part",
+            other_list: "another list",
+            redo: "do it again",
+        };
+
+        fn name(&self) -> &str {
+            &self.name
+        }
+
+        fn status(&self) -> Status {
+            self.status
+        }
+
+        fn reason(&self) -> &str {
+            ""
+        }
+
+        fn outputs(&self) -> &[super::super::OutputFile] {
+            &[]
+        }
+
+        fn fail(&mut self, _: String) {
+            self.status = Status::Failed;
+        }
+    }
+
+    fn header(zoom: u32) -> Header {
+        let parameters = json!({"zoom": zoom});
+        let plan = json!({"command": "test", "tolerance_m": 1e-6, "parameters": parameters});
+        Header { plan_hash: format!("hash{zoom}"), description: json!({"plan": plan}) }
+    }
+
+    fn record(name: &str, status: Status) -> Entry {
+        Entry { name: name.to_owned(), status }
+    }
+
+    fn open(
+        out: &Path,
+        shard: Shard,
+        zoom: u32,
+        overwrite: bool,
+    ) -> Result<(Journal<Entry>, Journals<Entry>), JournalError> {
+        Journal::open(out, shard, &header(zoom), overwrite)
     }
 
     #[test]
     fn what_was_recorded_is_found_again_and_a_torn_line_is_cut() {
         let out = tempfile::tempdir().expect("folder");
         let _lock = FolderLock::take(out.path(), Shard::WHOLE).expect("locks");
-        let (mut journal, earlier) =
-            Journal::open(out.path(), Shard::WHOLE, &header(20), false).expect("opens");
+        let (mut journal, earlier) = open(out.path(), Shard::WHOLE, 20, false).expect("opens");
         assert!(earlier.records.is_empty());
         journal
             .record(vec![record("a", Status::Done), record("b", Status::Failed)])
@@ -381,12 +486,11 @@ mod tests {
         let mut bytes = std::fs::read(&path).expect("reads");
         bytes.extend_from_slice(b"{\"image\":{\"name\":\"c\"");
         std::fs::write(&path, bytes).expect("writes");
-        let (mut journal, earlier) =
-            Journal::open(out.path(), Shard::WHOLE, &header(20), false).expect("opens");
+        let (mut journal, earlier) = open(out.path(), Shard::WHOLE, 20, false).expect("opens");
         assert_eq!(earlier.records.len(), 2);
         journal.record(vec![record("c", Status::Done)]).expect("records");
         journal.complete(Shard::WHOLE, 3).expect("completes");
-        let all = Journals::read(out.path()).expect("reads");
+        let all = Journals::<Entry>::read(out.path()).expect("reads");
         assert_eq!(all.records.len(), 3);
         all.check_complete(out.path()).expect("complete");
     }
@@ -395,14 +499,14 @@ mod tests {
     fn another_plan_is_refused_with_the_difference_and_overwrite_starts_anew() {
         let out = tempfile::tempdir().expect("folder");
         let _lock = FolderLock::take(out.path(), Shard::WHOLE).expect("locks");
-        let (mut journal, _) =
-            Journal::open(out.path(), Shard::WHOLE, &header(20), false).expect("opens");
+        let (mut journal, _) = open(out.path(), Shard::WHOLE, 20, false).expect("opens");
         journal.record(vec![record("a", Status::Done)]).expect("records");
-        let error =
-            Journal::open(out.path(), Shard::WHOLE, &header(19), false).expect_err("refuses");
-        assert!(error.to_string().contains("zoom: 20 there, 19 now"), "{error}");
-        let (_, earlier) =
-            Journal::open(out.path(), Shard::WHOLE, &header(19), true).expect("opens");
+        let error = open(out.path(), Shard::WHOLE, 19, false).expect_err("refuses");
+        let text = error.to_string();
+        assert!(text.contains("holds things made with another plan"), "{text}");
+        assert!(text.contains("zoom: 20 there, 19 now"), "{text}");
+        assert!(text.ends_with("or --overwrite to make them anew"), "{text}");
+        let (_, earlier) = open(out.path(), Shard::WHOLE, 19, true).expect("opens");
         assert!(earlier.records.is_empty());
     }
 
@@ -422,16 +526,28 @@ mod tests {
     }
 
     #[test]
+    fn a_folder_of_another_subcommand_is_left_alone_even_with_overwrite() {
+        let out = tempfile::tempdir().expect("folder");
+        let _lock = FolderLock::take(out.path(), Shard::WHOLE).expect("locks");
+        let mut other = header(20);
+        other.description["plan"]["command"] = json!("dsm-bench build");
+        Journal::<Entry>::open(out.path(), Shard::WHOLE, &other, false).expect("opens");
+        for overwrite in [false, true] {
+            let error = open(out.path(), Shard::WHOLE, 20, overwrite).expect_err("refuses");
+            assert!(error.to_string().contains("results of `sat3d dsm-bench build`"), "{error}");
+        }
+    }
+
+    #[test]
     fn missing_shards_are_named() {
         let out = tempfile::tempdir().expect("folder");
         for index in [1, 3] {
             let shard = Shard { index, count: 3 };
             let _lock = FolderLock::take(out.path(), shard).expect("locks");
-            let (mut journal, _) =
-                Journal::open(out.path(), shard, &header(20), false).expect("opens");
+            let (mut journal, _) = open(out.path(), shard, 20, false).expect("opens");
             journal.complete(shard, 9).expect("completes");
         }
-        let error = Journals::read(out.path()).expect("reads").check_complete(out.path());
+        let error = Journals::<Entry>::read(out.path()).expect("reads").check_complete(out.path());
         assert!(error.expect_err("incomplete").to_string().contains("not finished: 2/3"));
     }
 }

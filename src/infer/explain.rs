@@ -1,0 +1,296 @@
+//! The plan of an inference run: each step with its bound, cost and cause.
+
+use super::options::InferOptions;
+use super::{GROUND_TOLERANCE, Identity};
+use crate::footprint::{TRAINING_WIDTH_M, VerticalScale};
+use crate::model::Device;
+use crate::model::render::{DepthKind, Sampling};
+use crate::plan::{Bound, Plan, Step};
+use serde_json::{Map, Value, json};
+
+/// Error of the DSM's depth divided by opacity against the exact integral of the same field, metres rms, the
+/// worst of the closed-form fields: measured, 48 + 48 samples, not proven.
+const REFERENCE_RMS_M: f64 = 0.109;
+/// The same of the stable quadrature.
+const STABLE_RMS_M: f64 = 0.046;
+/// Floating-point operations of the point head per point, density alone, before folding.
+const HEAD_FLOP: f64 = 8.3e3;
+
+/// What the inputs are, as far as the plan depends on it.
+pub struct Inputs<'a> {
+    /// Whether there are pictures, so that the network runs.
+    pub pictures: bool,
+    /// The weights, where there are any.
+    pub identity: Option<&'a Identity>,
+    /// Pixels that the network takes across and down.
+    pub side: usize,
+}
+
+/// Resolves the plan.
+pub fn resolve(options: &InferOptions, inputs: &Inputs<'_>) -> Plan {
+    let mut steps = network_steps(options, inputs);
+    steps.extend(effect_steps(options));
+    steps.extend(height_steps(options));
+    steps.extend(output_steps(options));
+    Plan {
+        command: "infer".into(),
+        tolerance_m: 0.0,
+        parameters: parameters(options, inputs),
+        steps,
+    }
+}
+
+fn step(id: &str, on: bool, form: impl Into<String>, [cost, cause, reason]: [&str; 3]) -> Step {
+    Step {
+        id: id.into(),
+        on,
+        form: form.into(),
+        bound: Bound::EXACT,
+        cost: cost.into(),
+        cause: cause.into(),
+        reason: reason.into(),
+    }
+}
+
+fn network_steps(options: &InferOptions, inputs: &Inputs<'_>) -> Vec<Step> {
+    let on = inputs.pictures;
+    let why = |reason: &'static str| if on { reason } else { "the inputs are scenes already" };
+    let side = inputs.side;
+    let ground = match options.gsd_m {
+        Some([across, down]) => format!("--gsd {across},{down} m per pixel"),
+        None => "from name or georeference".into(),
+    };
+    let device = device_kind(options.device);
+    vec![
+        step(
+            "decode",
+            on,
+            "RGB, 8 bits",
+            [
+                "one image in memory, while the one before is in the network",
+                "the network takes RGB",
+                why("alpha is dropped, 16 bits are scaled to 8"),
+            ],
+        ),
+        Step {
+            reason: format!(
+                "checked per image: more than {} % beside {TRAINING_WIDTH_M} m is flagged, nothing is resampled",
+                100.0 * GROUND_TOLERANCE
+            ),
+            ..step(
+                "ground-size",
+                true,
+                ground,
+                ["none", "the network knows no scale but that of its training", ""],
+            )
+        },
+        step(
+            "resize",
+            on,
+            format!("{side} x {side}, bicubic in fixed point"),
+            [
+                "two passes over the image",
+                "the encoder takes one size",
+                why("bit-equal to Pillow's, which the weights were trained with"),
+            ],
+        ),
+        step(
+            "encoder",
+            on,
+            format!("f32 on {device}"),
+            [
+                "165 GFLOP per image (released network)",
+                "every output needs the field",
+                why("tokens within 1e-5 of the reference, relative, by the parity tests"),
+            ],
+        ),
+        step(
+            "decoder",
+            on,
+            format!("f32 on {device}"),
+            [
+                "981 GFLOP per image (released network)",
+                "every output needs the field",
+                why("planes within 3e-5 of the reference, relative, by the parity tests"),
+            ],
+        ),
+        step(
+            "fold",
+            true,
+            "first layer of the point head into the texels",
+            [
+                "0.4 GFLOP per image; saves that layer at every point",
+                "sampling and the layer are both linear",
+                "exact up to the rounding of f32",
+            ],
+        ),
+    ]
+}
+
+fn effect_steps(options: &InferOptions) -> Vec<Step> {
+    let outputs = &options.outputs;
+    let why = |on: bool, off: &'static str| if on { "an output needs it" } else { off };
+    let (colour, sky, sharp) =
+        (outputs.needs_colour(), outputs.needs_sky(), outputs.needs_super_resolution());
+    vec![
+        step(
+            "colour",
+            colour,
+            "two linear maps folded into one",
+            [
+                "7.1 kFLOP per point, before folding",
+                "outputs that show colours",
+                why(colour, "heights need density alone; its layers are not evaluated"),
+            ],
+        ),
+        step(
+            "sky",
+            sky,
+            "mapping and sky decoder",
+            [
+                "117 GFLOP per illumination (released network)",
+                "rays that leave the scene: street views",
+                why(sky, "no ray of these outputs leaves the scene; its weights are not read"),
+            ],
+        ),
+        step(
+            "super-resolution",
+            sharp,
+            "2 x",
+            [
+                "44.5 GFLOP per panorama (released network)",
+                "street views are rendered at half size",
+                why(sharp, "no view is asked for; its weights are not read"),
+            ],
+        ),
+    ]
+}
+
+fn height_steps(options: &InferOptions) -> Vec<Step> {
+    let on = options.outputs.needs_heights();
+    let render = &options.render;
+    let (coarse, fine) = (render.samples.coarse(), render.samples.fine());
+    let rays = f64::from(options.size) * f64::from(options.size);
+    let gflop = rays * (coarse + fine) as f64 * HEAD_FLOP / 1e9;
+    let (name, rms_m, reason) = match render.sampling {
+        Sampling::Reference => (
+            "reference",
+            REFERENCE_RMS_M,
+            "as released, so that published numbers follow; measured, not proven: rms against the exact integral on closed-form fields, 48 + 48 samples, worst case",
+        ),
+        Sampling::Stable => (
+            "stable",
+            STABLE_RMS_M,
+            "--sampling stable; measured, not proven: rms against the exact integral on closed-form fields, 48 + 48 samples, worst case",
+        ),
+    };
+    let (depth, depth_reason) = match render.depth_kind() {
+        DepthKind::Raw => (
+            "raw: sum of weight x distance",
+            "as trained and scored; half-transparent pixels read too high, NOT counted in the bounds",
+        ),
+        DepthKind::Normalised => (
+            "normalised: divided by opacity",
+            "asked for, or implied by --sampling stable; no data under an opacity of 0.05",
+        ),
+    };
+    let (scale, scale_reason) = match options.vertical {
+        VerticalScale::Paper => (
+            format!("paper: {TRAINING_WIDTH_M} m per 1.0"),
+            "the published scoring; 0.8 of the true proportion of the released cube",
+        ),
+        VerticalScale::Isotropic => (
+            "isotropic: from the image's ground, over the crop's share of the cube".to_owned(),
+            "--vertical-scale isotropic: as many metres per cube unit up as across",
+        ),
+    };
+    let storage_m = TRAINING_WIDTH_M / 0.8 * f64::from(f32::EPSILON) / 4.0;
+    vec![
+        Step {
+            bound: Bound::vertical(if on { rms_m } else { 0.0 }),
+            cost: format!("{gflop:.0} GFLOP per image, before folding"),
+            ..step(
+                "rays",
+                on,
+                format!("{name}, {coarse} + {fine} samples"),
+                ["", "the surface is an integral along a ray", reason],
+            )
+        },
+        step(
+            "depth",
+            on,
+            depth,
+            ["none", "rays that the scene does not stop wholly", depth_reason],
+        ),
+        step(
+            "vertical-scale",
+            on,
+            scale,
+            ["none", "the cube has no height of its own: a convention, no error", scale_reason],
+        ),
+        Step {
+            bound: Bound::vertical(if on { storage_m } else { 0.0 }),
+            ..step(
+                "storage",
+                on,
+                "f32",
+                ["none", "numpy and GDAL read f32", "heights of the cube lie in [0, 1]"],
+            )
+        },
+    ]
+}
+
+fn output_steps(options: &InferOptions) -> Vec<Step> {
+    let outputs = &options.outputs;
+    let asked = |on: bool| if on { "asked for" } else { "not asked for" };
+    vec![
+        step(
+            "npz",
+            outputs.dsm,
+            format!("arr_0, {0} x {0}", options.size),
+            ["3 arrays per image", "numpy and sat3d eval read it", asked(outputs.dsm)],
+        ),
+        step(
+            "geotiff",
+            outputs.geotiff,
+            "COG on the image's footprint",
+            ["one file per image", "GIS software reads it", asked(outputs.geotiff)],
+        ),
+        step(
+            "scene",
+            outputs.scene,
+            "safetensors",
+            [
+                "26 MB per image (released network)",
+                "rendering again without the network",
+                asked(outputs.scene),
+            ],
+        ),
+    ]
+}
+
+/// Bytes depend on the kind of device, not on its number.
+const fn device_kind(device: Device) -> &'static str {
+    match device {
+        Device::Cpu => "cpu",
+        Device::Cuda(_) => "cuda",
+        Device::Wgpu => "wgpu",
+    }
+}
+
+fn parameters(options: &InferOptions, inputs: &Inputs<'_>) -> Map<String, Value> {
+    let value = json!({
+        "weights": inputs.identity,
+        "device": device_kind(options.device),
+        "outputs": options.outputs,
+        "size": options.size,
+        "render": options.render,
+        "vertical_scale": options.vertical,
+        "gsd_m": options.gsd_m,
+        "format": 1,
+    });
+    match value {
+        Value::Object(map) => map,
+        _ => Map::new(),
+    }
+}

@@ -1,0 +1,355 @@
+//! Preparing and running an inference batch.
+
+use super::explain::{self, Inputs};
+use super::identity::Identity;
+use super::item::{Workshop, fingerprint, other_ground};
+use super::list::{Entry, Kind, list};
+use super::manifest::{self, RunFacts};
+use super::options::InferOptions;
+use super::record::{GroundFrom, Record};
+use super::{InferError, input};
+use crate::batch::{
+    Batch, ExitCode, FolderLock, Header, Interrupt, Journal, Progress, Status, count_reasons,
+    count_status, join, remove_leftovers,
+};
+use crate::footprint::TRAINING_WIDTH_M;
+use crate::model::render::SampleCounts;
+use crate::model::{Checkpoint, Config, Model};
+use crate::plan::Plan;
+use serde::Serialize;
+use std::collections::{HashMap, HashSet};
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+/// Threads that work on images: one decodes the next and one encodes the last while one is computed.
+const WORKERS: usize = 3;
+/// Images whose headers are looked at before a run, at most, to warn of another size on the ground.
+const LOOKED_AT: usize = 256;
+/// Images named in a warning.
+const EXAMPLES: usize = 3;
+
+/// A run whose inputs are listed, whose weights are opened and whose plan is resolved; nothing is
+/// written yet.
+pub struct Prepared {
+    options: InferOptions,
+    entries: Vec<Entry>,
+    checkpoint: Option<Checkpoint>,
+    /// What led to the checkpoint, in words.
+    origin: String,
+    identity: Option<Identity>,
+    model: Option<Model>,
+    /// The plan.
+    pub plan: Plan,
+    /// What the user should know before the run.
+    pub warnings: Vec<String>,
+}
+
+/// Images that have something in common, with the first of them.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Counted {
+    /// How many.
+    pub images: usize,
+    /// Names of the first three.
+    pub examples: Vec<String>,
+}
+
+impl Counted {
+    fn of<'a>(names: impl Iterator<Item = &'a str>) -> Self {
+        let mut counted = Self::default();
+        for name in names {
+            counted.images += 1;
+            if counted.examples.len() < EXAMPLES {
+                counted.examples.push(name.to_owned());
+            }
+        }
+        counted
+    }
+}
+
+/// What a run did, for people and machines.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct RunSummary {
+    /// Images of this run (its shard).
+    pub images: usize,
+    /// Images with outputs, earlier runs included.
+    pub done: usize,
+    /// Of those, done by an earlier run and kept.
+    pub kept: usize,
+    /// Images left out for a stated reason.
+    pub skipped: usize,
+    /// Images with an error.
+    pub failed: usize,
+    /// Images not started because the run was interrupted or the disk was full.
+    pub not_started: usize,
+    /// Reasons with their number of images, most frequent first.
+    pub reasons: Vec<(String, usize)>,
+    /// Images of another size on the ground than the training's.
+    pub other_ground: Counted,
+    /// Images whose size on the ground nothing states.
+    pub assumed_ground: Counted,
+    /// Images with something to look at in `flags` of the manifest.
+    pub flagged: usize,
+    /// Whether the run was interrupted.
+    pub interrupted: bool,
+    /// Whether the disk filled up.
+    pub disk_full: bool,
+    /// Seconds of work, without opening.
+    pub seconds: f64,
+}
+
+impl RunSummary {
+    /// The process's exit code.
+    #[must_use]
+    pub fn exit_code(&self) -> ExitCode {
+        if self.interrupted {
+            ExitCode::Interrupted
+        } else if self.failed > 0 || self.not_started > 0 {
+            ExitCode::SomeFailed
+        } else {
+            ExitCode::Success
+        }
+    }
+}
+
+/// Lists the images, opens the weights and resolves the plan.
+///
+/// # Errors
+/// [`InferError`]: anything that makes the whole run impossible.
+pub fn prepare(mut options: InferOptions) -> Result<Prepared, InferError> {
+    if !options.outputs.any() {
+        return Err(InferError::Input(
+            "--no-dsm leaves nothing to make; ask for another output".into(),
+        ));
+    }
+    if !(1..=4096).contains(&options.size) {
+        return Err(InferError::Input(format!(
+            "--dsm-size {}: must be 1 to 4096 (pixels)",
+            options.size
+        )));
+    }
+    if let Some(gsd) = options.gsd_m.into_iter().flatten().find(|gsd| !(1e-3..=1e4).contains(gsd)) {
+        return Err(InferError::Input(format!(
+            "--gsd {gsd}: must be 0.001 to 10000 (metres per pixel)"
+        )));
+    }
+    let entries = list(&options.input, options.root.as_deref())?;
+    check_collisions(&options, &entries)?;
+    let pictures = entries.iter().any(|entry| entry.kind == Kind::Picture);
+    let weights = if pictures { Some(find_weights(options.weights.as_deref())?) } else { None };
+    let checkpoint = weights.as_ref().map(|found| Checkpoint::open(&found.folder)).transpose()?;
+    let identity = checkpoint.as_ref().map(Identity::of).transpose()?;
+    // A second mapping of the same file, for the network.
+    let model = match &checkpoint {
+        Some(checkpoint) => Some(Model::load(checkpoint.folder(), &options.device)?),
+        None => None,
+    };
+    let side = model.as_ref().map_or(256, |model| model.config.image_side());
+    options.render.samples = match (options.samples, &model) {
+        (Some(samples), _) => samples,
+        (None, Some(Model { config, .. })) => {
+            SampleCounts::new(config.coarse_samples, config.fine_samples)
+                .map_err(|error| InferError::Input(format!("{error}; say --samples")))?
+        }
+        (None, None) => SampleCounts::default(),
+    };
+    let inputs = Inputs { pictures, identity: identity.as_ref(), side };
+    let plan = explain::resolve(&options, &inputs);
+    let warnings = ground_warnings(&options, &entries);
+    let origin = weights.map_or_else(String::new, |found| found.origin);
+    Ok(Prepared { options, entries, checkpoint, origin, identity, model, plan, warnings })
+}
+
+/// A checkpoint folder, and what led there.
+struct Found {
+    folder: PathBuf,
+    origin: String,
+}
+
+/// The one place where weights are looked for.
+fn find_weights(argument: Option<&Path>) -> Result<Found, InferError> {
+    match argument {
+        Some(folder) => Ok(Found { folder: folder.to_owned(), origin: "--weights".into() }),
+        None => Err(InferError::Input(
+            "no weights: give the folder of a checkpoint with --weights".into(),
+        )),
+    }
+}
+
+/// No output may replace an input.
+fn check_collisions(options: &InferOptions, entries: &[Entry]) -> Result<(), InferError> {
+    let Ok(out) = options.out.canonicalize() else { return Ok(()) };
+    for entry in entries {
+        let name = entry.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        if options.outputs.files_of(&entry.stem).contains(&name)
+            && let Some(folder) = entry.path.parent()
+            && folder.canonicalize().is_ok_and(|folder| folder == out)
+        {
+            return Err(InferError::Input(format!(
+                "{}: this input would be replaced by its own output; use another --out",
+                entry.path.display()
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// Looks at some headers, spread evenly, so that a wrong size on the ground is said before hours of
+/// work and not after them.
+fn ground_warnings(options: &InferOptions, entries: &[Entry]) -> Vec<String> {
+    let pictures: Vec<&Entry> = entries.iter().filter(|e| e.kind == Kind::Picture).collect();
+    let looked = pictures.len().min(LOOKED_AT);
+    let mut found = Vec::new();
+    for k in 0..looked {
+        let entry = pictures[k * pictures.len() / looked];
+        if let Ok(picture) = input::open(&entry.path)
+            && let Some(text) = other_ground(&picture.footprint(options.gsd_m))
+        {
+            found.push((entry.stem.as_str(), text));
+        }
+    }
+    let Some((name, text)) = found.first() else { return Vec::new() };
+    vec![format!(
+        "{} of {looked} images looked at have another size on the ground than those of the training, for example {name}: {text}. Shapes and heights will be off: cut images to windows of {TRAINING_WIDTH_M} m (sat3d tile), or correct a size that is stated wrongly with --gsd",
+        found.len()
+    )]
+}
+
+impl Prepared {
+    /// The images, in the order of work.
+    #[must_use]
+    pub fn entries(&self) -> &[Entry] {
+        &self.entries
+    }
+
+    /// The network's description, where the network runs.
+    #[must_use]
+    pub fn config(&self) -> Option<&Config> {
+        self.model.as_ref().map(|model| &model.config)
+    }
+
+    /// Runs the plan on this shard's images that are not done yet, and (for a whole batch) writes the
+    /// manifest.
+    ///
+    /// # Errors
+    /// The output folder cannot be used. Errors of images are in the summary and the manifest.
+    pub fn run(&self, stop: &Interrupt) -> Result<RunSummary, InferError> {
+        let options = &self.options;
+        let out = &options.out;
+        let threads = options.threads.max(1);
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .map_err(|error| InferError::Input(format!("--threads {threads}: {error}")))?;
+        std::fs::create_dir_all(out).map_err(InferError::io("make the folder", out))?;
+        let _lock = FolderLock::take(out, options.shard)?;
+        let header = Header {
+            plan_hash: self.plan.hash(),
+            description: manifest::description(&self.plan, self.identity.as_ref(), self.config()),
+        };
+        let (mut journal, earlier) = Journal::open(out, options.shard, &header, options.overwrite)?;
+        if options.shard.is_whole() {
+            let files = self.entries.iter().flat_map(|e| options.outputs.files_of(&e.stem));
+            let ours: HashSet<String> = files.collect();
+            remove_leftovers(out, |name| ours.contains(name));
+        }
+        let mine = &self.entries[options.shard.range(self.entries.len())];
+        let (mut records, todo) = self.sort_out(mine, earlier.records);
+        let kept = count_status(&records, Status::Done);
+        let workshop = Workshop {
+            options,
+            model: self.model.as_ref(),
+            identity: self.identity.as_ref(),
+            pool: &pool,
+            stop,
+            turn: &Mutex::new(()),
+        };
+        let progress = Progress::new("inferring", "images", todo.len(), options.quiet);
+        let disk_full = Interrupt::default();
+        let workers = threads.min(WORKERS);
+        let batch =
+            Batch { out, threads: workers, progress: &progress, stop, disk_full: &disk_full };
+        let build = |entry: &&Entry| workshop.build(entry);
+        let result = batch.run(&todo, build, &mut journal, |record| records.push(record));
+        let seconds = progress.finish();
+        result?;
+        let mut summary = summarise(&mut records, mine.len());
+        summary.kept = kept;
+        summary.interrupted = stop.requested() && summary.not_started > 0;
+        summary.disk_full = disk_full.requested();
+        summary.seconds = seconds;
+        if summary.not_started == 0 {
+            journal.complete(options.shard, self.entries.len() as u64)?;
+            if options.shard.is_whole() {
+                let checkpoint = self.checkpoint.as_ref();
+                let origin = self.origin.as_str();
+                let facts = RunFacts { summary: &summary, options, checkpoint, origin };
+                manifest::write(out, &header, records, Some(&facts))?;
+            }
+        }
+        Ok(summary)
+    }
+
+    /// Splits this shard's images into those that an earlier run finished and those to do.
+    fn sort_out<'a>(
+        &self,
+        mine: &'a [Entry],
+        mut known: HashMap<String, Record>,
+    ) -> (Vec<Record>, Vec<&'a Entry>) {
+        let (mut kept, mut todo) = (Vec::new(), Vec::new());
+        let options = &self.options;
+        for entry in mine {
+            match known.remove(&entry.stem) {
+                Some(record)
+                    if record.status != Status::Failed
+                        && record.inputs == fingerprint(&entry.path)
+                        && record.outputs.iter().all(|o| o.holds(&options.out, options.verify)) =>
+                {
+                    kept.push(record);
+                }
+                _ => todo.push(entry),
+            }
+        }
+        (kept, todo)
+    }
+}
+
+fn summarise(records: &mut [Record], images: usize) -> RunSummary {
+    records.sort_by(|a, b| a.name.cmp(&b.name));
+    let named = |wanted: &dyn Fn(&Record) -> bool| {
+        Counted::of(records.iter().filter(|r| wanted(r)).map(|r| r.name.as_str()))
+    };
+    RunSummary {
+        images,
+        done: count_status(records, Status::Done),
+        skipped: count_status(records, Status::Skipped),
+        failed: count_status(records, Status::Failed),
+        not_started: images - records.len(),
+        reasons: count_reasons(records, generic),
+        other_ground: named(&|r| r.other_ground),
+        assumed_ground: named(&|r| r.ground_from == Some(GroundFrom::Assumed)),
+        flagged: records.iter().filter(|r| !r.flags.is_empty()).count(),
+        ..RunSummary::default()
+    }
+}
+
+/// A reason without the path that it begins with, so that equal causes are counted together.
+fn generic(reason: &str) -> String {
+    let rest = reason.split_once(": ").filter(|(path, _)| path.contains(['/', '\\', '.']));
+    rest.map_or(reason, |(_, rest)| rest).to_owned()
+}
+
+/// Joins shards into `out`: those that worked in `out` itself, and those of the folders `parts`, whose
+/// files are copied after their hash is checked. Writes the manifest that one run over all images would
+/// have written, byte for byte.
+///
+/// # Errors
+/// Missing or unfinished shards, different plans, a file that is not what its journal says.
+pub fn merge(out: &Path, parts: &[PathBuf]) -> Result<RunSummary, InferError> {
+    let mut joined = join::<Record>(out, parts)?;
+    let mut records = std::mem::take(&mut joined.records);
+    let images = records.len();
+    let mut summary = summarise(&mut records, images);
+    summary.kept = summary.done;
+    manifest::write(out, &joined.header, records, None)?;
+    Ok(summary)
+}
