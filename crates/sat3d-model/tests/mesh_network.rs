@@ -14,8 +14,8 @@ use std::path::Path;
 use support::golden;
 
 fn image() -> Image8 {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("fixtures/inputs/satellite_47.6_-122.33.png");
+    let path =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/inputs/satellite_47.6_-122.33.png");
     let decoder = png::Decoder::new(std::io::BufReader::new(std::fs::File::open(path).unwrap()));
     let mut reader = decoder.read_info().unwrap();
     let mut data = vec![0; reader.output_buffer_size().unwrap()];

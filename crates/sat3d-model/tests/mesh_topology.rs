@@ -101,7 +101,9 @@ fn value() -> impl Strategy<Value = f32> {
     ]
 }
 
-fn grid(value: impl Strategy<Value = f32> + Clone) -> impl Strategy<Value = ([usize; 3], Vec<f32>)> {
+fn grid(
+    value: impl Strategy<Value = f32> + Clone,
+) -> impl Strategy<Value = ([usize; 3], Vec<f32>)> {
     (1..7_usize, 1..7_usize, 1..7_usize).prop_flat_map(move |(x, y, z)| {
         (Just([x, y, z]), prop::collection::vec(value.clone(), x * y * z))
     })
@@ -185,9 +187,10 @@ fn checkerboards_plateaus_nothing_and_everything() {
             let surface = check(shape, &grid(&|_| all));
             // A box whose walls are 1/256 of the outer steps from the closing planes.
             let mesh = checked(&surface);
-            let low = mesh.vertices.iter().fold([f64::INFINITY; 3], |low, v| {
-                [0, 1, 2].map(|k| low[k].min(v[k]))
-            });
+            let low = mesh
+                .vertices
+                .iter()
+                .fold([f64::INFINITY; 3], |low, v| [0, 1, 2].map(|k| low[k].min(v[k])));
             for (axis, low) in uneven(shape).iter().zip(low) {
                 let [plane, point, ..] = axis.with_closing_planes() else { panic!("an axis") };
                 assert!((low - (plane + (point - plane) * CLAMP)).abs() < 1e-12, "{low}");

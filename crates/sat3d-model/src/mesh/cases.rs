@@ -204,8 +204,7 @@ mod tests {
         let [a, b, c] = t;
         let (above, below) = (volume(a, b, c, p), volume(a, b, c, q));
         let around = [volume(p, q, a, b), volume(p, q, b, c), volume(p, q, c, a)];
-        above * below < 0.0
-            && (around.iter().all(|v| *v > 0.0) || around.iter().all(|v| *v < 0.0))
+        above * below < 0.0 && (around.iter().all(|v| *v > 0.0) || around.iter().all(|v| *v < 0.0))
     }
 
     #[test]

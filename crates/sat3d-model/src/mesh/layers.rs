@@ -334,7 +334,11 @@ impl<V: Copy + Into<f64>> LayerMesher<V> {
         // A closing plane's index wraps round or is too large.
         let (row, column) = (row.wrapping_sub(1), column.wrapping_sub(1));
         let inside = row < self.rows.len() && column < across;
-        if inside { layer.values.get(row * across + column).map(|value| (*value).into()) } else { None }
+        if inside {
+            layer.values.get(row * across + column).map(|value| (*value).into())
+        } else {
+            None
+        }
     }
 
     /// Where the surface cuts an edge, given its ends' coordinates and values.

@@ -163,7 +163,9 @@ pub enum MeshError {
         expected: usize,
     },
     /// More vertices than 32 bits number.
-    #[error("{0} vertices; a mesh holds at most 4294967295: use a coarser lattice or mesh it in parts")]
+    #[error(
+        "{0} vertices; a mesh holds at most 4294967295: use a coarser lattice or mesh it in parts"
+    )]
     TooManyVertices(u64),
     /// 32-bit coordinates would merge vertices.
     #[error(
@@ -183,10 +185,7 @@ impl Mesh {
     pub fn bounds(&self) -> Option<[[f32; 3]; 2]> {
         let first = *self.vertices.first()?;
         Some(self.vertices.iter().fold([first; 2], |[low, high], vertex| {
-            [
-                [0, 1, 2].map(|k| low[k].min(vertex[k])),
-                [0, 1, 2].map(|k| high[k].max(vertex[k])),
-            ]
+            [[0, 1, 2].map(|k| low[k].min(vertex[k])), [0, 1, 2].map(|k| high[k].max(vertex[k]))]
         }))
     }
 

@@ -1,6 +1,8 @@
 //! The mesh of a field: grid, surface, frame, colours.
 
-use super::{Axis, CLAMP, Mesh, MeshColor, MeshError, MeshFrame, MeshLattice, MeshOptions, mesh_grid};
+use super::{
+    Axis, CLAMP, Mesh, MeshColor, MeshError, MeshFrame, MeshLattice, MeshOptions, mesh_grid,
+};
 use crate::field::Field;
 use crate::render::{
     Border, DensityGrid, Lattice, ReferenceGrid, density_grid, exact_scale, reference_grid,
