@@ -423,7 +423,9 @@ fn python_with(import: &str) -> Option<OsString> {
 const TRIMESH: &str = r#"
 import sys, numpy, trimesh
 for path in sys.argv[1:]:
-    mesh = trimesh.load(path, force="mesh", process=False)
+    mesh = trimesh.load(path, process=False)
+    if isinstance(mesh, trimesh.Scene):
+        (mesh,) = mesh.geometry.values()
     # Beside a material trimesh keeps glTF's colours as they are stored.
     stored = getattr(mesh.visual, "vertex_attributes", {})
     colors = mesh.visual.vertex_colors if mesh.visual.kind == "vertex" else stored.get("color")
