@@ -225,6 +225,8 @@ fn what_is_refused_and_what_is_empty() {
         let options = MeshOptions { horizontal_metres_per_unit, ..self::options() };
         assert!(matches!(refused(options), MeshError::MetresPerUnit(_)));
     }
+    let far = refused(MeshOptions { vertical_metres_per_unit: 1e308, ..options() });
+    assert!(matches!(far, MeshError::TooFine { .. }), "{far}");
     let lattice = |lattice| refused(MeshOptions { lattice, ..options() });
     let few = lattice(MeshLattice::Pixels { size: 0 });
     assert_eq!(few, MeshError::Lattice { found: 0, least: 1 });

@@ -289,7 +289,7 @@ fn what_is_refused() {
     assert_eq!(axis(&[1.0, 1.0]), Err(MeshError::Axis { before: 1.0, next: 1.0 }));
     assert!(matches!(axis(&[1.0, f64::NAN]), Err(MeshError::Axis { .. })));
     assert!(matches!(axis(&[10.0]), Err(MeshError::Axis { before: 10.0, next: 9.0 })));
-    assert!(matches!(Axis::new(f64::MIN, [0.0], f64::MAX), Ok(_)));
+    assert!(Axis::new(f64::MIN, [0.0], f64::MAX).is_ok());
     assert!(matches!(Axis::new(f64::NEG_INFINITY, [0.0], 1.0), Err(MeshError::Axis { .. })));
     let axes = unit([2, 2, 2]);
     let wrong = MeshError::Layer { found: 7, expected: 8 };

@@ -35,11 +35,11 @@ pub fn mesh_grid<V: Copy + Into<f64> + Send + Sync>(
                 mesher.prime(at[first], layer(first));
             }
             let mut part = Part { before: mesher.vertices(), surface: Surface::default() };
-            for index in first + 1..=(first + LAYERS).min(layers.len() + 1) {
+            for (index, at) in (first + 1..).zip(&at[first + 1..]).take(LAYERS) {
                 if index <= layers.len() {
-                    mesher.push(at[index], layer(index), &mut part.surface)?;
+                    mesher.push(*at, layer(index), &mut part.surface)?;
                 } else {
-                    mesher.finish(at[index], &mut part.surface)?;
+                    mesher.finish(*at, &mut part.surface)?;
                 }
             }
             Ok(part)

@@ -343,7 +343,8 @@ impl<V: Copy + Into<f64>> LayerMesher<V> {
 
     /// Where the surface cuts an edge, given its ends' coordinates and values.
     fn crossing(&self, ends: [f64; 2], values: [Option<f64>; 2]) -> f64 {
-        let outer = |value: Option<f64>| value.is_none_or(|value| !(value >= self.isovalue));
+        let outer =
+            |value: Option<f64>| value.is_none_or(|value| value.is_nan() || value < self.isovalue);
         let share = match values {
             [Some(a), Some(b)] if a.is_finite() && b.is_finite() => (self.isovalue - a) / (b - a),
             // No slope: the surface is next to the outside point.

@@ -2,8 +2,8 @@
 //!
 //! **Tie rule**, the same for every cell: a grid point is inside where its density is at least the
 //! isovalue. NaN is outside. A face with two inside corners across from each other keeps the solid in one
-//! piece; the face alone decides, so both its cells agree. The table of cases is made from this rule
-//! ([`cases`](self)), and the surface is a closed 2-manifold, wound outward, for any values whatever.
+//! piece; the face alone decides, so both its cells agree. The table of cases is made from this rule, and
+//! the surface is a closed 2-manifold, wound outward, for any values whatever.
 //!
 //! **Clamp**: a vertex keeps 1/256 of its edge's length from both ends, so that a density that equals the
 //! isovalue makes no degenerate triangle and no two vertices at one place. On the default lattice over a

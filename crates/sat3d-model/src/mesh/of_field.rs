@@ -113,7 +113,8 @@ impl Frame {
             let ends = axis.with_closing_planes();
             let extent = metres * 2.0_f64.max(ends[ends.len() - 1] - ends[0]);
             let unit = f64::from((extent as f32).next_up()) - f64::from(extent as f32);
-            if !(step * CLAMP > 4.0 * unit) {
+            // Of an extent beyond 32-bit floats the unit is not a number.
+            if unit.is_nan() || step * CLAMP <= 4.0 * unit {
                 return Err(MeshError::TooFine { step, extent });
             }
         }

@@ -63,7 +63,8 @@ impl Checked {
                 }
                 links[a as usize].push((b, c));
             }
-            if !(length(self.normal(*triangle)) > 0.0) {
+            let area = length(self.normal(*triangle));
+            if area.is_nan() || area <= 0.0 {
                 return Err(format!("triangle {triangle:?} has no area"));
             }
         }
