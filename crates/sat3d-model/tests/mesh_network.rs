@@ -2,16 +2,14 @@
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
 mod mesh_support;
-mod support;
 
-use mesh_support::{Checked, length, minus};
+use mesh_support::{Checked, golden, length, minus};
 use sat3d_model::config::{Config, RELEASED};
 use sat3d_model::mesh::{MeshColor, MeshFrame, MeshLattice, MeshOptions};
 use sat3d_model::scene::SceneParts;
 use sat3d_model::weights::rule::{Override, RuleWeights, full_overrides, tiny_overrides};
 use sat3d_model::{Device, Image8, Model, Scene};
 use std::path::Path;
-use support::golden;
 
 fn image() -> Image8 {
     let path =

@@ -2,11 +2,9 @@
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
 mod mesh_support;
-mod support;
 
-use mesh_support::{Checked, length, minus};
+use mesh_support::{Checked, golden, length, minus};
 use sat3d_model::mesh::{Axis, CLAMP, mesh_grid};
-use support::golden;
 
 const COUNT: usize = 64;
 

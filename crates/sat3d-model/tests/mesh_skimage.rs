@@ -4,12 +4,11 @@
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
 mod mesh_support;
-mod support;
 
+use mesh_support::golden;
 use sat3d_model::mesh::{Axis, mesh_grid};
 use std::io::Write;
 use std::process::Command;
-use support::golden;
 
 /// Reads grid and mesh, all in steps of the grid; prints, for each of the two libraries: its vertices and
 /// triangles, the mean, root mean square and largest of the symmetric distances (in steps), and

@@ -1,7 +1,56 @@
 //! What the mesh tests share: topology from the definition, without the mesher's own means.
 #![allow(dead_code, reason = "each test file uses a part")]
+#![allow(clippy::unwrap_used, reason = "a test may fail")]
 
+use safetensors::SafeTensors;
 use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+/// A file of the published parity data: from `SAT3D_GOLDENS`, from `shared/goldens` beside the repository, or
+/// from the crate's fixtures; else a line that says what is skipped.
+pub fn golden(config: &str, stage: &str) -> Option<Tensors> {
+    let name = format!("{config}/{stage}.safetensors");
+    let crate_root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let given = std::env::var_os("SAT3D_GOLDENS").map(PathBuf::from);
+    let folders = [
+        given,
+        Some(crate_root.join("../../../shared/goldens")),
+        Some(crate_root.join("fixtures")),
+    ];
+    let found =
+        folders.into_iter().flatten().find_map(|folder| std::fs::read(folder.join(&name)).ok());
+    if found.is_none() {
+        eprintln!("SKIPPED {name}: no such parity data; name its folder in SAT3D_GOLDENS");
+    }
+    found.map(Tensors)
+}
+
+/// A safetensors file in memory.
+pub struct Tensors(Vec<u8>);
+
+impl Tensors {
+    fn items<const N: usize, T>(&self, name: &str, read: impl Fn([u8; N]) -> T) -> Vec<T> {
+        let file = SafeTensors::deserialize(&self.0).unwrap();
+        let tensor = file.tensor(name).unwrap();
+        tensor.data().as_chunks::<N>().0.iter().map(|bytes| read(*bytes)).collect()
+    }
+
+    pub fn f32(&self, name: &str) -> Vec<f32> {
+        self.items(name, f32::from_le_bytes)
+    }
+
+    pub fn f64(&self, name: &str) -> Vec<f64> {
+        self.items(name, f64::from_le_bytes)
+    }
+
+    pub fn i64(&self, name: &str) -> Vec<i64> {
+        self.items(name, i64::from_le_bytes)
+    }
+
+    pub fn u8(&self, name: &str) -> Vec<u8> {
+        self.items(name, u8::from_le_bytes)
+    }
+}
 
 /// A mesh as the checks see it.
 pub struct Checked {
