@@ -129,7 +129,7 @@ impl ReferenceGrid {
     }
 
     /// Where the points are meant to be along an axis.
-    fn axis(&self) -> Vec<f32> {
+    pub(crate) fn axis(&self) -> Vec<f32> {
         (0..self.count).map(|k| k as f32 * self.step() - 1.0).collect()
     }
 }

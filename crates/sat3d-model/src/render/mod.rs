@@ -17,6 +17,7 @@ pub use camera::{Camera, Intrinsics, Pose, Ray};
 pub use frames::Angles;
 pub use lattice::{Border, DensityGrid, Lattice, ReferenceGrid, density_grid, reference_grid};
 pub use sky::{SkyMap, SkySeam};
+pub(crate) use view::exact_scale;
 pub use view::{Dsm, View, Wanted, dsm, render};
 #[doc(hidden)]
 pub use view::{Trace, trace};

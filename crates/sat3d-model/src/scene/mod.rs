@@ -30,6 +30,7 @@ mod file;
 pub use file::SceneFileError;
 
 use crate::field::{Field, FieldError, FieldInputs, PointHead};
+use crate::mesh::{Mesh, MeshError, MeshOptions, scene_mesh};
 use crate::render::{
     Camera, DensityGrid, Dsm, Lattice, ReferenceGrid, RenderOptions, SkyMap, View, Wanted,
     density_grid, dsm, reference_grid, render,
@@ -160,5 +161,31 @@ impl Scene {
     #[must_use]
     pub fn reference_grid(&self, grid: &ReferenceGrid) -> DensityGrid {
         reference_grid(&self.plain, grid)
+    }
+    /// The scene's surface as a closed mesh, wound outward ([`crate::mesh`] states the conventions).
+    /// Without any density at the isovalue it is empty.
+    ///
+    /// ```
+    /// use sat3d_model::Scene;
+    /// use sat3d_model::field::closed_form::BoxCity;
+    /// use sat3d_model::mesh::{MeshLattice, MeshOptions};
+    /// use sat3d_model::scene::SceneParts;
+    ///
+    /// let (inputs, head) = BoxCity { texels: 64, ..BoxCity::example() }.inputs();
+    /// let scene = Scene::new(SceneParts { inputs, head, sky: None, metres_per_unit: 32.24 })?;
+    /// let options =
+    ///     MeshOptions { lattice: MeshLattice::Pixels { size: 64 }, ..MeshOptions::default() };
+    /// let mesh = scene.mesh(&options)?;
+    /// let [_, highest] = mesh.bounds().expect("a surface");
+    /// let roof = (0.3 + 1.0) * 32.24;
+    /// assert!((f64::from(highest[2]) - roof).abs() < 1.0, "the tower, in metres");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`MeshError`] for an isovalue or a scale that is not a positive number, a lattice without points, and
+    /// one too fine for 32-bit coordinates or indices.
+    pub fn mesh(&self, options: &MeshOptions) -> Result<Mesh, MeshError> {
+        scene_mesh(&self.plain, options)
     }
 }
