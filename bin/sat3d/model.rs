@@ -40,7 +40,6 @@ Examples:
 
 Environment: HF_ENDPOINT (a mirror), HF_TOKEN (private repositories), HF_HUB_CACHE and HF_HOME (the
 cache), HF_HUB_OFFLINE, HF_HUB_DISABLE_SYMLINKS, HTTPS_PROXY, SSL_CERT_FILE.")]
-#[cfg_attr(not(feature = "fetch"), expect(dead_code, reason = "this build refuses to fetch"))]
 struct FetchArgs {
     /// Repository on the hub
     #[arg(long, value_name = "OWNER/NAME", default_value = weights::REPOSITORY)]
