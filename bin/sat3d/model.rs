@@ -40,7 +40,6 @@ Examples:
 
 Environment: HF_ENDPOINT (a mirror), HF_TOKEN (private repositories), HF_HUB_CACHE and HF_HOME (the
 cache), HF_HUB_OFFLINE, HF_HUB_DISABLE_SYMLINKS, HTTPS_PROXY, SSL_CERT_FILE.")]
-#[cfg_attr(not(feature = "fetch"), expect(dead_code, reason = "this build refuses to fetch"))]
 struct FetchArgs {
     /// Repository on the hub
     #[arg(long, value_name = "OWNER/NAME", default_value = weights::REPOSITORY)]
@@ -255,7 +254,7 @@ fn grouped(number: u64) -> String {
     let digits = number.to_string();
     let mut out = String::new();
     for (place, digit) in digits.chars().enumerate() {
-        if place > 0 && (digits.len() - place) % 3 == 0 {
+        if place > 0 && (digits.len() - place).is_multiple_of(3) {
             out.push(',');
         }
         out.push(digit);

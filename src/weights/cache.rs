@@ -74,10 +74,10 @@ impl Cache {
 /// are not set stay as they are.
 fn expanded(text: &str, home: Option<&Path>, get: &dyn Fn(&str) -> Option<OsString>) -> String {
     let mut rest = text.to_owned();
-    if let (Some(home), Some(after)) = (home.and_then(Path::to_str), text.strip_prefix('~')) {
-        if after.is_empty() || after.starts_with('/') {
-            rest = format!("{}{after}", home.trim_end_matches('/'));
-        }
+    if let (Some(home), Some(after)) = (home.and_then(Path::to_str), text.strip_prefix('~'))
+        && (after.is_empty() || after.starts_with('/'))
+    {
+        rest = format!("{}{after}", home.trim_end_matches('/'));
     }
     let mut out = String::new();
     while let Some(dollar) = rest.find('$') {

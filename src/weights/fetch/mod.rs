@@ -252,8 +252,7 @@ impl Plan {
         };
         let snapshot = self.place.snapshot(&self.commit);
         let links = !std::env::var("HF_HUB_DISABLE_SYMLINKS").is_ok_and(|set| hub::is_true(&set));
-        let mut files = Vec::new();
-        for file in &self.files {
+        let put = |file: &RemoteFile| {
             let url = hub.file_url(&self.wanted.repository, &self.commit, &file.path);
             let store = Store {
                 hub,
@@ -264,9 +263,12 @@ impl Plan {
                 interrupt,
                 each: &each,
             };
-            files.push(store.put(file)?);
-        }
+            store.put(file)
+        };
+        // The first error ends it; the bar goes before the error is said.
+        let files: Result<Vec<FetchedFile>, FetchError> = self.files.iter().map(put).collect();
         progress.finish();
+        let files = files?;
         if self.wanted.revision != self.commit {
             let reference = self.place.reference(&self.wanted.revision);
             let folder = reference.parent().unwrap_or(&reference);
