@@ -1,6 +1,8 @@
-//! `sat3d infer`: DSMs from satellite images by the network, one image or a city.
+//! `sat3d infer`: DSMs, meshes and views from satellite images by the network, one image or a city.
 
 use crate::console;
+use crate::mesh_args::MeshArgs;
+use crate::view_args::ViewArgs;
 use clap::{Subcommand, ValueEnum};
 use sat3d::batch::{ExitCode, Interrupt, Shard, Verify};
 use sat3d::footprint::VerticalScale;
@@ -10,17 +12,19 @@ use sat3d::model::render::{DepthKind, SampleCounts, Sampling};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-/// DSMs from satellite images by the network, one image or a city.
+/// DSMs, meshes and street views from satellite images by the network, one image or a city.
 ///
 /// Each image is resized, encoded and decoded to a radiance field, whose heights are written as
-/// <stem>.npz for `sat3d eval`. What no output needs is neither loaded nor computed. A second run
-/// continues where the first ended; one bad image never stops a batch.
+/// <stem>.npz for `sat3d eval`; meshes, density volumes and views are written where asked for. What no
+/// output needs is neither loaded nor computed. A second run continues where the first ended; one bad
+/// image never stops a batch.
 #[derive(clap::Args, Debug)]
 #[command(
     args_conflicts_with_subcommands = true,
     subcommand_negates_reqs = true,
     after_help = "Examples:
   sat3d infer satellite_47.6_-122.33.png --weights Sat3DGen/
+  sat3d infer satellite_47.6_-122.33.png --mesh glb --panorama --position px:320,400
   sat3d infer seattle/ --weights Sat3DGen/ --out out/ --geotiff
   sat3d infer ingest/manifest.csv --root VIGOR/ --weights Sat3DGen/ --shard 1/4
   sat3d infer photo.png --gsd 0.25 --weights Sat3DGen/ --vertical-scale isotropic
@@ -41,12 +45,13 @@ enum Command {
 
 #[derive(clap::Args, Debug)]
 struct InferArgs {
-    /// Image (PNG, JPEG), folder of images, VIGOR city folder, list or manifest of names (text, CSV,
+    /// Image (PNG, JPEG, GeoTIFF), folder of images, VIGOR city folder, list or manifest of names (text, CSV,
     /// JSON, Parquet), or a scene that --scene saved
     #[arg(value_name = "INPUT", required = true)]
     input: Option<PathBuf>,
-    /// Checkpoint folder: config.json and diffusion_pytorch_model.safetensors
-    #[arg(long, value_name = "DIR", env = "SAT3D_WEIGHTS")]
+    /// Checkpoint folder: config.json and diffusion_pytorch_model.safetensors (default: SAT3D_WEIGHTS, then
+    /// what `sat3d model fetch` has fetched)
+    #[arg(long, value_name = "DIR")]
     weights: Option<PathBuf>,
     /// Output folder
     #[arg(long, value_name = "DIR", default_value = "out")]
@@ -102,6 +107,10 @@ struct InferArgs {
     /// Print the summary as JSON
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    mesh: MeshArgs,
+    #[command(flatten)]
+    views: ViewArgs,
 }
 
 /// Join the shards of a run into one.
@@ -193,7 +202,6 @@ impl InferArgs {
         let mut options = InferOptions::new(input, self.weights.clone(), self.out.clone());
         options.root = self.root.clone();
         options.device = self.device;
-        options.outputs = Outputs { dsm: !self.no_dsm, geotiff: self.geotiff, scene: self.scene };
         options.size = self.dsm_size;
         options.render.sampling = match self.sampling {
             SamplingArg::Reference => Sampling::Reference,
@@ -204,6 +212,19 @@ impl InferArgs {
             DepthArg::Normalised => DepthKind::Normalised,
         };
         options.samples = self.samples;
+        self.mesh.check()?;
+        // Whether pictures are enlarged is known when the weights are open.
+        let views = self.views.requests(options.render, true)?;
+        options.render = views.options;
+        options.illumination = self.views.illumination(&views)?;
+        options.outputs = Outputs {
+            dsm: !self.no_dsm,
+            geotiff: self.geotiff,
+            scene: self.scene,
+            mesh: self.mesh.mesh(),
+            density: self.mesh.density(),
+            views,
+        };
         options.vertical = match self.vertical_scale {
             ScaleArg::Paper => VerticalScale::Paper,
             ScaleArg::Isotropic => VerticalScale::Isotropic,

@@ -5,10 +5,12 @@ mod console;
 mod dsm_bench;
 mod eval;
 mod infer;
+mod mesh_args;
 mod model;
 mod run;
 mod simulate;
 mod vigor;
+mod view_args;
 
 use clap::{Parser, Subcommand};
 use sat3d::batch::ExitCode;

@@ -156,13 +156,17 @@ impl ViewArgs {
         Ok(requests)
     }
 
-    /// The light of street views; a bundled sky where nothing is said.
+    /// The light of street views, where one is named; there is a default for those that ask for none.
     ///
     /// # Errors
     /// Files that are no light, names that are not known.
-    pub(crate) fn illumination(&self) -> anyhow::Result<Illumination> {
-        let argument = self.illumination.as_deref();
-        Ok(Illumination::parse(argument, self.sky_mask.as_deref())?)
+    pub(crate) fn illumination(
+        &self,
+        requests: &ViewRequests,
+    ) -> anyhow::Result<Option<Illumination>> {
+        let Some(argument) = self.illumination.as_deref() else { return Ok(None) };
+        ensure!(requests.needs_sky(), "--illumination {argument} lights street views");
+        Ok(Some(Illumination::parse(Some(argument), self.sky_mask.as_deref())?))
     }
 
     fn path(&self) -> anyhow::Result<Option<PathRequest>> {
@@ -352,13 +356,17 @@ mod tests {
     }
 
     #[test]
-    fn light_is_never_unnamed() {
+    fn light_is_what_was_named() {
         let light = |line: &str| {
             let words = std::iter::once("x").chain(line.split_whitespace());
-            Cli::try_parse_from(words).expect("arguments").views.illumination()
+            let views = Cli::try_parse_from(words).expect("arguments").views;
+            let requests = views.requests(RenderOptions::default(), true).expect("requests");
+            views.illumination(&requests)
         };
-        assert_eq!(light("--panorama").expect("light").origin, "bundled sky clear (the default)");
-        assert_eq!(light("--illumination white").expect("light").origin, "bundled sky white");
-        assert!(light("--illumination dusk").is_err_and(|e| e.to_string().contains("overcast")));
+        assert!(light("--panorama").expect("light").is_none(), "the library has a default");
+        let white = light("--panorama --illumination white").expect("light").expect("light");
+        assert_eq!(white.origin, "bundled sky white");
+        let error = light("--panorama --illumination dusk").expect_err("no such sky");
+        assert!(error.to_string().contains("overcast"), "{error}");
     }
 }

@@ -100,7 +100,7 @@ fn write_products<R: Record>(
         let Ok(product) = next else { return };
         let mut record = product.record;
         for (name, bytes) in &product.files {
-            if let Err(error) = write_file(&out.join(name), bytes) {
+            if let Err(error) = write_file(out, name, bytes) {
                 if error.kind() == io::ErrorKind::StorageFull {
                     disk_full.request();
                 }
@@ -114,10 +114,18 @@ fn write_products<R: Record>(
     }
 }
 
-fn write_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let mut file = AtomicFile::create(path)?;
+/// Writes a file below `out`, making its folder; what lies in a folder of its own is durable at once, since
+/// only `out` is synced for many.
+fn write_file(out: &Path, name: &str, bytes: &[u8]) -> io::Result<()> {
+    let path = out.join(name);
+    let below = path.parent().filter(|folder| *folder != out);
+    if let Some(folder) = below {
+        std::fs::create_dir_all(folder)?;
+    }
+    let mut file = AtomicFile::create(&path)?;
     file.file().write_all(bytes)?;
-    file.commit()
+    file.commit()?;
+    below.map_or(Ok(()), sync_folder)
 }
 
 /// Collects records, makes their files durable in groups, journals them, and keeps them.
@@ -164,15 +172,21 @@ fn keep_records<R: Record>(
     }
 }
 
-/// Removes temporary files that a killed run left in `out`; `ours` says whether a target's name is one
-/// that the batch writes. The caller holds the folder's lock.
+/// Removes temporary files (and folders, of volumes) that a killed run left in `out`; `ours` says whether a
+/// target's name is one that the batch writes. The caller holds the folder's lock.
 pub fn remove_leftovers(out: &Path, ours: impl Fn(&str) -> bool) {
     let Ok(items) = std::fs::read_dir(out) else { return };
     for item in items.filter_map(Result::ok) {
         let name = item.file_name().to_string_lossy().into_owned();
-        if leftover_of(&name).is_some_and(&ours)
-            && let Err(error) = std::fs::remove_file(item.path())
-        {
+        if !leftover_of(&name).is_some_and(&ours) {
+            continue;
+        }
+        let path = item.path();
+        let removed = match path.is_dir() {
+            true => std::fs::remove_dir_all(&path),
+            false => std::fs::remove_file(&path),
+        };
+        if let Err(error) = removed {
             tracing::warn!("cannot remove the leftover {name}: {error}");
         }
     }

@@ -3,7 +3,9 @@
 use super::options::InferOptions;
 use super::{GROUND_TOLERANCE, Identity};
 use crate::footprint::{TRAINING_WIDTH_M, VerticalScale};
+use crate::illumination::Illumination;
 use crate::model::Device;
+use crate::model::mesh::MeshLattice;
 use crate::model::render::{DepthKind, Sampling};
 use crate::plan::{Bound, Plan, Step};
 use serde_json::{Map, Value, json};
@@ -24,14 +26,17 @@ pub struct Inputs<'a> {
     pub identity: Option<&'a Identity>,
     /// Pixels that the network takes across and down.
     pub side: usize,
+    /// The light of street views.
+    pub light: Option<&'a Illumination>,
 }
 
 /// Resolves the plan.
 pub fn resolve(options: &InferOptions, inputs: &Inputs<'_>) -> Plan {
     let mut steps = network_steps(options, inputs);
-    steps.extend(effect_steps(options));
+    steps.extend(effect_steps(options, inputs.light));
     steps.extend(height_steps(options));
     steps.extend(output_steps(options));
+    steps.extend(options.outputs.views.steps());
     Plan {
         command: "infer".into(),
         tolerance_m: 0.0,
@@ -127,7 +132,7 @@ fn network_steps(options: &InferOptions, inputs: &Inputs<'_>) -> Vec<Step> {
     ]
 }
 
-fn effect_steps(options: &InferOptions) -> Vec<Step> {
+fn effect_steps(options: &InferOptions, light: Option<&Illumination>) -> Vec<Step> {
     let outputs = &options.outputs;
     let why = |on: bool, off: &'static str| if on { "an output needs it" } else { off };
     let (colour, sky, sharp) =
@@ -146,7 +151,7 @@ fn effect_steps(options: &InferOptions) -> Vec<Step> {
         step(
             "sky",
             sky,
-            "mapping and sky decoder",
+            light.map_or_else(|| "mapping and sky decoder".to_owned(), |light| light.origin.clone()),
             [
                 "117 GFLOP per illumination (released network)",
                 "rays that leave the scene: street views",
@@ -266,7 +271,46 @@ fn output_steps(options: &InferOptions) -> Vec<Step> {
                 asked(outputs.scene),
             ],
         ),
+        step(
+            "mesh",
+            outputs.mesh.is_some(),
+            outputs.mesh.as_ref().map_or_else(
+                || "marching cubes".to_owned(),
+                |mesh| {
+                    let format = mesh.format.extension();
+                    format!("marching cubes at {}, {}, {format}", mesh.isovalue, points(mesh.lattice))
+                },
+            ),
+            [
+                "174 GFLOP per image at 256 x 256 x 320 points, before folding",
+                "a surface as triangles",
+                asked(outputs.mesh.is_some()),
+            ],
+        ),
+        step(
+            "density",
+            outputs.density.is_some(),
+            outputs.density.as_ref().map_or_else(
+                || "volume".to_owned(),
+                |volume| format!("{:?}, {}", volume.format, points(volume.lattice)).to_lowercase(),
+            ),
+            [
+                "as the mesh's; 84 MB per image at 256 x 256 x 320 points",
+                "densities for other programs",
+                asked(outputs.density.is_some()),
+            ],
+        ),
     ]
+}
+
+/// Where a mesh or a volume takes its densities.
+fn points(lattice: MeshLattice) -> String {
+    match lattice {
+        MeshLattice::Pixels { size } => format!("{size} x {size} columns on the pixels"),
+        MeshLattice::Reference { count } => {
+            format!("the released grid of {count}, drift included")
+        }
+    }
 }
 
 /// Bytes depend on the kind of device, not on its number.
@@ -287,6 +331,11 @@ fn parameters(options: &InferOptions, inputs: &Inputs<'_>) -> Map<String, Value>
         "render": options.render,
         "vertical_scale": options.vertical,
         "gsd_m": options.gsd_m,
+        "illumination": inputs.light.map(|light| {
+            let mut light = light.parameters();
+            light["stored_skies_kept"] = options.illumination.is_none().into();
+            light
+        }),
         "format": 1,
     });
     match value {

@@ -1,20 +1,21 @@
 //! The work on one image: decode, network, field, heights, encoded files.
 
-use super::input;
 use super::list::{Entry, Kind};
 use super::options::InferOptions;
 use super::outputs::{Heights, NOTE_FOOTPRINT, NamedBytes};
+use super::renders::Subject;
 use super::record::{GroundFrom, Record};
 use super::{GROUND_TOLERANCE, Identity};
 use crate::batch::{Interrupt, OutputFile, Product, Record as _};
 use crate::footprint::{Footprint, Place, TRAINING_WIDTH_M};
-use crate::grid::PixelPoint;
+use crate::illumination::{self, Illumination};
 use crate::model::render::{DepthKind, Dsm, LEAST_OPACITY};
-use crate::model::scene::SceneParts;
+use crate::model::scene::{SceneParts, SkyParts};
 use crate::model::{Image8, Model, Scene};
+use crate::picture;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::UNIX_EPOCH;
 
 /// What a worker needs to know of the run.
@@ -30,6 +31,10 @@ pub struct Workshop<'a> {
     pub stop: &'a Interrupt,
     /// Held by the image whose turn it is: each takes all threads, and the memory of one is enough.
     pub turn: &'a Mutex<()>,
+    /// The light of street views, where there are any.
+    pub light: Option<&'a Illumination>,
+    /// The sky in that light, computed once for all images.
+    pub sky: &'a OnceLock<Result<SkyParts, String>>,
 }
 
 /// What became of an image whose turn came.
@@ -67,7 +72,8 @@ impl Workshop<'_> {
                 files.clear();
             }
         }
-        record.outputs = files.iter().map(|(file, bytes)| OutputFile::of(file, bytes)).collect();
+        let of_files = files.iter().map(|(file, bytes)| OutputFile::of(file, bytes));
+        record.outputs.extend(of_files);
         Some(Product { record, files })
     }
 
@@ -83,7 +89,7 @@ impl Workshop<'_> {
             Kind::Scene => self.scene_file(&entry.path, record)?,
         };
         let unit_m = footprint.vertical_metres_per_unit(self.options.vertical, scale);
-        let computed = self.compute(source, &footprint, unit_m, &entry.stem, files)?;
+        let computed = self.compute(source, &footprint, unit_m, &entry.stem, record, files)?;
         let Computed::Done(dsm) = computed else { return Ok(false) };
         // Encoding leaves the threads to the next image.
         if let Some(dsm) = &dsm {
@@ -106,6 +112,7 @@ impl Workshop<'_> {
         footprint: &Footprint,
         unit_m: f64,
         stem: &str,
+        record: &mut Record,
         files: &mut Vec<NamedBytes>,
     ) -> Result<Computed, String> {
         let _turn = self.turn.lock().unwrap_or_else(PoisonError::into_inner);
@@ -113,38 +120,48 @@ impl Workshop<'_> {
             return Ok(Computed::Stopped);
         }
         self.pool.install(|| {
-            let scene = match source {
-                Source::Scene(scene) if scene.parts().metres_per_unit == unit_m => *scene,
-                Source::Scene(scene) => {
-                    let parts = SceneParts { metres_per_unit: unit_m, ..scene.parts().clone() };
-                    Scene::new(parts).map_err(|error| error.to_string())?
-                }
+            let (scene, image) = match source {
+                Source::Scene(scene) => (self.relit(*scene, unit_m)?, None),
                 Source::Image(image) => {
                     let model = self.model.ok_or("a picture needs --weights")?;
-                    model.scene(&image, None, unit_m).map_err(|error| error.to_string())?
+                    let sky = self.options.outputs.needs_sky().then(|| self.sky()).transpose()?;
+                    let scene = model.scene(&image, sky, unit_m).map_err(|e| e.to_string())?;
+                    (scene, Some(image))
                 }
             };
             let size = self.options.size as usize;
             let heights = self.options.outputs.needs_heights();
             let dsm = heights.then(|| scene.dsm(size, &self.options.render));
-            files.extend(self.renders(&scene, footprint, stem)?);
+            let subject = Subject { scene: &scene, image: image.as_ref(), footprint, unit_m, stem };
+            self.renders(&subject, record, files)?;
             Ok(Computed::Done(dsm))
         })
     }
 
-    /// What is made of the scene beside its heights: one call per output.
-    fn renders(
-        &self,
-        scene: &Scene,
-        footprint: &Footprint,
-        stem: &str,
-    ) -> Result<Vec<NamedBytes>, String> {
-        let outputs = &self.options.outputs;
-        let mut files = Vec::new();
-        if outputs.scene {
-            files.extend(self.scene(scene, footprint, stem)?);
+    /// The sky of this run.
+    fn sky(&self) -> Result<SkyParts, String> {
+        let compute = || {
+            let (Some(model), Some(light)) = (self.model, self.light) else {
+                return Err("street views of this scene need its sky: say --weights".to_owned());
+            };
+            illumination::sky(model.network.as_ref(), light).map_err(|error| error.to_string())
+        };
+        self.sky.get_or_init(compute).clone()
+    }
+
+    /// A stored scene with the heights and the light of this run. Its own sky stays where no other was
+    /// named.
+    fn relit(&self, scene: Scene, unit_m: f64) -> Result<Scene, String> {
+        let stored = scene.parts().sky.is_some() && self.options.illumination.is_none();
+        let new_sky = self.options.outputs.needs_sky() && !stored;
+        if scene.parts().metres_per_unit == unit_m && !new_sky {
+            return Ok(scene);
         }
-        Ok(files)
+        let mut parts = SceneParts { metres_per_unit: unit_m, ..scene.parts().clone() };
+        if new_sky {
+            parts.sky = Some(self.sky()?);
+        }
+        Scene::new(parts).map_err(|error| error.to_string())
     }
 
     fn picture(
@@ -152,10 +169,12 @@ impl Workshop<'_> {
         path: &Path,
         record: &mut Record,
     ) -> Result<(Source, Footprint, f64), String> {
-        let picture = input::open(path).map_err(|error| error.to_string())?;
-        let footprint = picture.footprint(self.options.gsd_m);
+        let mut picture = picture::open(path).map_err(|error| error.to_string())?;
+        let gsd_m = self.options.gsd_m;
+        let footprint = picture.footprint(gsd_m).map_err(|error| error.to_string())?;
         let placed = picture.place().is_some();
-        self.describe_ground(record, &footprint, placed);
+        record.flags.extend(picture.warnings().iter().cloned());
+        self.describe_ground(record, &footprint, placed)?;
         let image = picture.read().map_err(|error| error.to_string())?;
         let scale = self.model.map_or(1.0, |model| model.config.scale);
         Ok((Source::Image(image), footprint, scale))
@@ -177,14 +196,19 @@ impl Workshop<'_> {
         if let Some(gsd_m) = self.options.gsd_m {
             footprint.gsd_m = gsd_m;
         }
-        self.describe_ground(record, &footprint, known);
+        self.describe_ground(record, &footprint, known)?;
         // The decimal number that was meant by an f32: 0.8, not 0.800000012.
         let scale = scene.field().scale();
         let scale = scale.to_string().parse().unwrap_or(f64::from(scale));
         Ok((Source::Scene(Box::new(scene)), footprint, scale))
     }
 
-    fn describe_ground(&self, record: &mut Record, footprint: &Footprint, placed: bool) {
+    fn describe_ground(
+        &self,
+        record: &mut Record,
+        footprint: &Footprint,
+        placed: bool,
+    ) -> Result<(), String> {
         let from = match (self.options.gsd_m, placed) {
             (Some(_), _) => GroundFrom::Option,
             (None, true) => GroundFrom::Place,
@@ -193,10 +217,12 @@ impl Workshop<'_> {
         record.size_px = Some(footprint.size_px);
         record.ground_m = Some(footprint.ground_m());
         record.ground_from = Some(from);
-        if let Some(Place::WebMercator(grid)) = &footprint.place {
-            let [width, height] = footprint.size_px.map(f64::from);
-            let center = grid.lonlat(PixelPoint { x: width / 2.0, y: height / 2.0 });
+        if let Some(on_earth) = footprint.georeference().map_err(|error| error.to_string())? {
+            let center = on_earth.center().map_err(|error| error.to_string())?;
             (record.lat_deg, record.lon_deg) = (Some(center.lat_deg), Some(center.lon_deg));
+            record.flags.extend(on_earth.warnings().iter().cloned());
+        }
+        if let Some(Place::WebMercator(grid)) = &footprint.place {
             let stated = grid.ground_sample_distance();
             let [across, _] = footprint.gsd_m;
             if (across / stated - 1.0).abs() > 0.01 {
@@ -214,6 +240,7 @@ impl Workshop<'_> {
             record.other_ground = true;
             record.flags.push(text);
         }
+        Ok(())
     }
 
     fn describe(&self, record: &mut Record, heights: &Heights<'_>) {
@@ -313,6 +340,8 @@ mod tests {
             pool: &rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap(),
             stop: &Interrupt::default(),
             turn: &Mutex::new(()),
+            light: None,
+            sky: &OnceLock::new(),
         };
         let entry = Entry { stem: "image".into(), path, kind: Kind::Picture };
         let product = workshop.build(&entry).unwrap();

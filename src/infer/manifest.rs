@@ -13,6 +13,7 @@ use crate::footprint::TRAINING_WIDTH_M;
 use crate::model::{Checkpoint, Config};
 use crate::plan::Plan;
 use crate::table::{Column, Table, TableError, wkb};
+use crate::weights::Origin;
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -50,7 +51,7 @@ pub struct RunFacts<'a> {
     pub options: &'a InferOptions,
     pub checkpoint: Option<&'a Checkpoint>,
     /// What led to the checkpoint.
-    pub origin: &'a str,
+    pub origin: Option<&'a Origin>,
 }
 
 /// Writes everything that describes the run. `facts` is absent after a merge.

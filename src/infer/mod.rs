@@ -6,24 +6,25 @@
 
 mod explain;
 mod identity;
-mod input;
 mod item;
 mod list;
 mod manifest;
 mod options;
 mod outputs;
+mod renders;
 mod record;
 mod run;
 
 pub use identity::Identity;
-pub use input::InputError;
 pub use list::{Entry, Kind};
-pub use options::{InferOptions, Outputs};
+pub use options::{InferOptions, MeshRequest, Outputs, VolumeFormat, VolumeRequest};
 pub use record::Record;
 pub use run::{Counted, Prepared, RunSummary, merge, prepare};
 
 use crate::batch::JournalError;
+use crate::illumination::IlluminationError;
 use crate::model::ModelError;
+use crate::weights::WeightsError;
 use std::path::PathBuf;
 
 /// Width or height on the ground that differs from the training's by more than this share is said.
@@ -46,6 +47,12 @@ pub enum InferError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// No weights were found.
+    #[error(transparent)]
+    Weights(#[from] WeightsError),
+    /// There is no light for street views.
+    #[error(transparent)]
+    Light(#[from] IlluminationError),
     /// The journal in the output folder cannot be used.
     #[error(transparent)]
     Journal(#[from] JournalError),

@@ -1,7 +1,7 @@
 //! The files of one image, one function per kind.
 
 use super::item::Workshop;
-use crate::footprint::{Footprint, Place};
+use crate::footprint::Footprint;
 use crate::grid::GeoTransform;
 use crate::model::Scene;
 use crate::model::render::Dsm;
@@ -62,27 +62,26 @@ impl Workshop<'_> {
         stem: &str,
         flags: &mut Vec<String>,
     ) -> Vec<NamedBytes> {
-        let (grid, epsg) = match &footprint.place {
-            Some(Place::WebMercator(grid)) => (grid.geotransform(), 3857),
-            Some(Place::Raster { geotransform, crs }) => {
-                if crs.epsg.is_none() {
+        let size = heights.dsm.size as u32;
+        let (geotransform, epsg) = match footprint.dsm_grid(size) {
+            Some(grid) => {
+                if grid.crs.epsg.is_none() {
                     flags.push(format!(
                         "the CRS of the image ({}) has no EPSG code: its GeoTIFF has the image's coordinates and no CRS",
-                        crs.name
+                        grid.crs.name
                     ));
                 }
-                (*geotransform, crs.epsg.unwrap_or(0))
+                (grid.geotransform, grid.crs.epsg.unwrap_or(0))
             }
             None => {
                 flags.push(
                     "the image's place is not known: its GeoTIFF has no CRS, and metres from the north-west corner"
                         .into(),
                 );
-                let [across, down] = footprint.gsd_m;
+                let [across, down] = footprint.ground_m().map(|metres| metres / f64::from(size));
                 (GeoTransform::north_up(0.0, 0.0, across, down), 0)
             }
         };
-        let size = heights.dsm.size as u32;
         let metadata = [
             ("TIFFTAG_SOFTWARE", format!("sat3d {}", env!("CARGO_PKG_VERSION"))),
             (
@@ -94,7 +93,7 @@ impl Workshop<'_> {
         let spec = CogSpec {
             width: size,
             height: size,
-            geotransform: resampled(&grid, footprint.size_px, size),
+            geotransform,
             epsg,
             vertical_epsg: None,
             unit: Some(LinearUnit::Metre),
@@ -118,31 +117,5 @@ impl Workshop<'_> {
         }
         let bytes = scene.to_bytes(&notes).map_err(|error| error.to_string())?;
         Ok(vec![(format!("{stem}{SCENE_END}"), bytes)])
-    }
-}
-
-/// The grid of the same footprint with `size x size` pixels.
-fn resampled(grid: &GeoTransform, [width, height]: [u32; 2], size: u32) -> GeoTransform {
-    let [x, column_x, row_x, y, column_y, row_y] = grid.0;
-    let (across, down) = (f64::from(width) / f64::from(size), f64::from(height) / f64::from(size));
-    GeoTransform([x, column_x * across, row_x * down, y, column_y * across, row_y * down])
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::grid::PixelPoint;
-
-    #[test]
-    fn another_number_of_pixels_covers_the_same_ground() {
-        let grid = GeoTransform([100.0, 2.0, 0.5, 50.0, 0.25, -3.0]);
-        let fewer = resampled(&grid, [640, 320], 256);
-        for (column, row) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (0.5, 0.25)] {
-            let of = |grid: &GeoTransform, width: f64, height: f64| {
-                grid.to_projected(PixelPoint { x: column * width, y: row * height })
-            };
-            let (a, b) = (of(&grid, 640.0, 320.0), of(&fewer, 256.0, 256.0));
-            assert!((a.x - b.x).abs() < 1e-9 && (a.y - b.y).abs() < 1e-9);
-        }
     }
 }

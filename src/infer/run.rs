@@ -7,19 +7,22 @@ use super::list::{Entry, Kind, list};
 use super::manifest::{self, RunFacts};
 use super::options::InferOptions;
 use super::record::{GroundFrom, Record};
-use super::{InferError, input};
+use super::InferError;
 use crate::batch::{
     Batch, ExitCode, FolderLock, Header, Interrupt, Journal, Progress, Status, count_reasons,
     count_status, join, remove_leftovers,
 };
 use crate::footprint::TRAINING_WIDTH_M;
+use crate::illumination::Illumination;
 use crate::model::render::SampleCounts;
 use crate::model::{Checkpoint, Config, Model};
+use crate::picture;
 use crate::plan::Plan;
+use crate::weights::{self, Origin, Weights};
 use serde::Serialize;
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
+use std::sync::{Mutex, OnceLock};
 
 /// Threads that work on images: one decodes the next and one encodes the last while one is computed.
 const WORKERS: usize = 3;
@@ -34,10 +37,12 @@ pub struct Prepared {
     options: InferOptions,
     entries: Vec<Entry>,
     checkpoint: Option<Checkpoint>,
-    /// What led to the checkpoint, in words.
-    origin: String,
+    /// What led to the checkpoint.
+    origin: Option<Origin>,
     identity: Option<Identity>,
     model: Option<Model>,
+    /// The light of street views, where there are any.
+    light: Option<Illumination>,
     /// The plan.
     pub plan: Plan,
     /// What the user should know before the run.
@@ -134,8 +139,11 @@ pub fn prepare(mut options: InferOptions) -> Result<Prepared, InferError> {
     }
     let entries = list(&options.input, options.root.as_deref())?;
     check_collisions(&options, &entries)?;
-    let pictures = entries.iter().any(|entry| entry.kind == Kind::Picture);
-    let weights = if pictures { Some(find_weights(options.weights.as_deref())?) } else { None };
+    let pictures = entries.iter().filter(|entry| entry.kind == Kind::Picture).count();
+    check_names(&options, &entries, pictures)?;
+    let pictures = pictures > 0;
+    let mut warnings = Vec::new();
+    let weights = find_weights(&options, pictures, &mut warnings)?;
     let checkpoint = weights.as_ref().map(|found| Checkpoint::open(&found.folder)).transpose()?;
     let identity = checkpoint.as_ref().map(Identity::of).transpose()?;
     // A second mapping of the same file, for the network.
@@ -152,27 +160,71 @@ pub fn prepare(mut options: InferOptions) -> Result<Prepared, InferError> {
         }
         (None, None) => SampleCounts::default(),
     };
-    let inputs = Inputs { pictures, identity: identity.as_ref(), side };
+    options.outputs.views.options = options.render;
+    options.outputs.views.super_resolution =
+        model.as_ref().is_some_and(|model| model.config.super_resolution == 2);
+    options.outputs.views.check().map_err(|error| InferError::Input(error.to_string()))?;
+    let light = match (&options.illumination, options.outputs.needs_sky()) {
+        (_, false) => None,
+        (Some(light), true) => Some(light.clone()),
+        (None, true) => Some(Illumination::parse(None, None)?),
+    };
+    let inputs = Inputs { pictures, identity: identity.as_ref(), side, light: light.as_ref() };
     let plan = explain::resolve(&options, &inputs);
-    let warnings = ground_warnings(&options, &entries);
-    let origin = weights.map_or_else(String::new, |found| found.origin);
-    Ok(Prepared { options, entries, checkpoint, origin, identity, model, plan, warnings })
+    warnings.extend(options.outputs.views.notes());
+    warnings.extend(ground_warnings(&options, &entries));
+    let origin = weights.map(|found| found.origin);
+    Ok(Prepared { options, entries, checkpoint, origin, identity, model, light, plan, warnings })
 }
 
-/// A checkpoint folder, and what led there.
-struct Found {
-    folder: PathBuf,
-    origin: String,
-}
-
-/// The one place where weights are looked for.
-fn find_weights(argument: Option<&Path>) -> Result<Found, InferError> {
-    match argument {
-        Some(folder) => Ok(Found { folder: folder.to_owned(), origin: "--weights".into() }),
-        None => Err(InferError::Input(
-            "no weights: give the folder of a checkpoint with --weights".into(),
-        )),
+/// The weights that a run needs: always for pictures; for scenes where street views want a sky or the
+/// super-resolution and weights can be found.
+fn find_weights(
+    options: &InferOptions,
+    pictures: bool,
+    warnings: &mut Vec<String>,
+) -> Result<Option<Weights>, InferError> {
+    let argument = options.weights.as_deref();
+    if pictures {
+        return Ok(Some(weights::find(argument)?));
     }
+    if !options.outputs.needs_sky() {
+        return Ok(None);
+    }
+    match weights::find(argument) {
+        Ok(found) => Ok(Some(found)),
+        Err(weights::WeightsError::None { .. }) => {
+            warnings.push(
+                "no weights were found: scenes without a sky have no street views, and pictures are those of the rays, half as wide and high (--weights)".into(),
+            );
+            Ok(None)
+        }
+        Err(error) => Err(error.into()),
+    }
+}
+
+/// A mesh that has a name of its own is of one image; a texture is the image's.
+fn check_names(
+    options: &InferOptions,
+    entries: &[Entry],
+    pictures: usize,
+) -> Result<(), InferError> {
+    let Some(mesh) = &options.outputs.mesh else { return Ok(()) };
+    if let Some(file) = &mesh.file
+        && entries.len() > 1
+    {
+        return Err(InferError::Input(format!(
+            "--mesh {file}: the name of one mesh, and there are {} images; --mesh {} names each by its image",
+            entries.len(),
+            mesh.format.extension()
+        )));
+    }
+    if options.outputs.needs_image() && pictures < entries.len() {
+        return Err(InferError::Input(
+            "--mesh-color texture: a scene file holds no image; use --mesh-color field, or give the image".into(),
+        ));
+    }
+    Ok(())
 }
 
 /// No output may replace an input.
@@ -201,8 +253,9 @@ fn ground_warnings(options: &InferOptions, entries: &[Entry]) -> Vec<String> {
     let mut found = Vec::new();
     for k in 0..looked {
         let entry = pictures[k * pictures.len() / looked];
-        if let Ok(picture) = input::open(&entry.path)
-            && let Some(text) = other_ground(&picture.footprint(options.gsd_m))
+        if let Ok(picture) = picture::open(&entry.path)
+            && let Ok(footprint) = picture.footprint(options.gsd_m)
+            && let Some(text) = other_ground(&footprint)
         {
             found.push((entry.stem.as_str(), text));
         }
@@ -262,6 +315,8 @@ impl Prepared {
             pool: &pool,
             stop,
             turn: &Mutex::new(()),
+            light: self.light.as_ref(),
+            sky: &OnceLock::new(),
         };
         let progress = Progress::new("inferring", "images", todo.len(), options.quiet);
         let disk_full = Interrupt::default();
@@ -281,7 +336,7 @@ impl Prepared {
             journal.complete(options.shard, self.entries.len() as u64)?;
             if options.shard.is_whole() {
                 let checkpoint = self.checkpoint.as_ref();
-                let origin = self.origin.as_str();
+                let origin = self.origin.as_ref();
                 let facts = RunFacts { summary: &summary, options, checkpoint, origin };
                 manifest::write(out, &header, records, Some(&facts))?;
             }

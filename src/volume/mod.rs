@@ -26,19 +26,19 @@ pub struct Axes {
     pub x: Vec<f64>,
     /// Northing; descending, because rows run south.
     pub y: Vec<f64>,
-    /// Height, metres.
+    /// Height, metres above the bottom of the cube: the zero of the DSM and of the mesh.
     pub z: Vec<f64>,
 }
 
 impl Axes {
-    /// Metres east, north and up from the scene's centre; `metres_per_unit` of the cube along x, y and z.
+    /// Metres east and north of the scene's centre and up from its bottom; `metres_per_unit` of the cube along x, y and z.
     #[must_use]
     pub fn local(lattice: &Lattice, metres_per_unit: [f64; 3]) -> Self {
         let [x, y, z] = metres_per_unit;
         let scale = |axis: &[f32], unit: f64| axis.iter().map(|v| f64::from(*v) * unit).collect();
         // The cube's y runs south. 0 - v, so that no zero becomes negative.
         let north = lattice.y.iter().map(|v| 0.0 - f64::from(*v) * y).collect();
-        Self { x: scale(&lattice.x, x), y: north, z: scale(&lattice.z, z) }
+        Self { x: scale(&lattice.x, x), y: north, z: heights(lattice, z) }
     }
 
     /// Coordinates in the CRS of a footprint; `None` where its place is not known. The crop fills
@@ -59,7 +59,7 @@ impl Axes {
         Some(Self {
             x: place(&lattice.x, grid[0], grid[1]),
             y: place(&lattice.y, grid[3], grid[5]),
-            z: lattice.z.iter().map(|v| f64::from(*v) * vertical_metres_per_unit).collect(),
+            z: heights(lattice, vertical_metres_per_unit),
         })
     }
 
@@ -68,6 +68,10 @@ impl Axes {
     pub fn shape(&self) -> [usize; 3] {
         [self.x.len(), self.y.len(), self.z.len()]
     }
+}
+
+fn heights(lattice: &Lattice, metres_per_unit: f64) -> Vec<f64> {
+    lattice.z.iter().map(|v| (f64::from(*v) + 1.0) * metres_per_unit).collect()
 }
 
 /// What a volume's x and y are.
