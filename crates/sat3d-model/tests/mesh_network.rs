@@ -62,7 +62,7 @@ fn check(name: &str, scene: &Scene) {
         relative(checked.area(), area),
         relative(checked.volume(), volume),
     ];
-    eprintln!("{name}: vertices, triangles, area, volume off by {parts:.1e?}");
+    eprintln!("{name}: vertices, triangles, area, volume off by {parts:.6?}");
     // A density that differs in its last digits moves a point across the isovalue here and there.
     assert!(parts[..2].iter().all(|part| part.abs() < 1e-4), "{name}: {parts:?}");
     assert!(parts[2..].iter().all(|part| part.abs() < 5e-3), "{name}: {parts:?}");
