@@ -197,7 +197,8 @@ fn numpy_reads_a_grid_and_its_coordinates() {
     let grid = DensityGrid { lattice, values: values.clone() };
     let axes = Axes::local(&grid.lattice, [40.0, 20.0, 10.0]);
     assert_eq!(axes.x, [-20.0, 20.0]);
-    assert_eq!(axes.z, [0.0, 2.5, 5.0, 7.5]);
+    // Above the bottom of the cube.
+    assert_eq!(axes.z, [10.0, 12.5, 15.0, 17.5]);
     // y of the cube runs south; a float32 of 0.6 is not 0.6.
     assert!(
         (axes.y[0] - 12.0).abs() < 1e-5
@@ -221,7 +222,7 @@ x, y, z = np.mgrid[0:2, 0:3, 0:4]
 assert grid.dtype == np.float32 and grid.flags.c_contiguous
 assert np.array_equal(grid, (x * 1e4 + y * 1e2 + z + 0.25).astype(np.float32))
 at = np.load(sys.argv[2])
-assert at['x'].tolist() == [-20, 20] and at['z'].tolist() == [0, 2.5, 5, 7.5] and at['y'].shape == (3,)
+assert at['x'].tolist() == [-20, 20] and at['z'].tolist() == [10, 12.5, 15, 17.5] and at['y'].shape == (3,)
 ";
     run(python, script, &[&path, &beside]);
 }

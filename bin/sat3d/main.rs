@@ -9,8 +9,8 @@ mod mesh_args;
 mod model;
 mod run;
 mod simulate;
-mod vigor;
 mod view_args;
+mod vigor;
 
 use clap::{Parser, Subcommand};
 use sat3d::batch::ExitCode;

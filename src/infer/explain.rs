@@ -151,7 +151,8 @@ fn effect_steps(options: &InferOptions, light: Option<&Illumination>) -> Vec<Ste
         step(
             "sky",
             sky,
-            light.map_or_else(|| "mapping and sky decoder".to_owned(), |light| light.origin.clone()),
+            light
+                .map_or_else(|| "mapping and sky decoder".to_owned(), |light| light.origin.clone()),
             [
                 "117 GFLOP per illumination (released network)",
                 "rays that leave the scene: street views",
@@ -278,7 +279,11 @@ fn output_steps(options: &InferOptions) -> Vec<Step> {
                 || "marching cubes".to_owned(),
                 |mesh| {
                     let format = mesh.format.extension();
-                    format!("marching cubes at {}, {}, {format}", mesh.isovalue, points(mesh.lattice))
+                    format!(
+                        "marching cubes at {}, {}, {format}",
+                        mesh.isovalue,
+                        points(mesh.lattice)
+                    )
                 },
             ),
             [

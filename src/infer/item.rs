@@ -3,8 +3,8 @@
 use super::list::{Entry, Kind};
 use super::options::InferOptions;
 use super::outputs::{Heights, NOTE_FOOTPRINT, NamedBytes};
-use super::renders::Subject;
 use super::record::{GroundFrom, Record};
+use super::renders::Subject;
 use super::{GROUND_TOLERANCE, Identity};
 use crate::batch::{Interrupt, OutputFile, Product, Record as _};
 use crate::footprint::{Footprint, Place, TRAINING_WIDTH_M};

@@ -11,8 +11,8 @@ mod list;
 mod manifest;
 mod options;
 mod outputs;
-mod renders;
 mod record;
+mod renders;
 mod run;
 
 pub use identity::Identity;

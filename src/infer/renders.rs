@@ -99,11 +99,7 @@ impl Workshop<'_> {
         Ok(())
     }
 
-    fn zarr(
-        &self,
-        subject: &Subject<'_>,
-        lattice: MeshLattice,
-    ) -> Result<Vec<OutputFile>, String> {
+    fn zarr(&self, subject: &Subject<'_>, lattice: MeshLattice) -> Result<Vec<OutputFile>, String> {
         let grid = subject.densities(lattice);
         let (axes, frame) = axes(&grid, subject);
         let [x, y] = subject.across_m();

@@ -1,5 +1,6 @@
 //! Preparing and running an inference batch.
 
+use super::InferError;
 use super::explain::{self, Inputs};
 use super::identity::Identity;
 use super::item::{Workshop, fingerprint, other_ground};
@@ -7,7 +8,6 @@ use super::list::{Entry, Kind, list};
 use super::manifest::{self, RunFacts};
 use super::options::InferOptions;
 use super::record::{GroundFrom, Record};
-use super::InferError;
 use crate::batch::{
     Batch, ExitCode, FolderLock, Header, Interrupt, Journal, Progress, Status, count_reasons,
     count_status, join, remove_leftovers,
