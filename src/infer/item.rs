@@ -8,7 +8,6 @@ use super::record::{GroundFrom, Record};
 use super::{GROUND_TOLERANCE, Identity};
 use crate::batch::{Interrupt, OutputFile, Product, Record as _};
 use crate::footprint::{Footprint, Place, TRAINING_WIDTH_M};
-use crate::grid::PixelPoint;
 use crate::model::render::{DepthKind, Dsm, LEAST_OPACITY};
 use crate::model::scene::SceneParts;
 use crate::model::{Image8, Model, Scene};
@@ -63,7 +62,8 @@ impl Workshop<'_> {
             Ok(true) => {}
             Ok(false) => return None,
             Err(reason) => {
-                record.fail(reason);
+                // Where the image lies on this machine is nobody else's business.
+                record.fail(reason.replace(&*entry.path.to_string_lossy(), &image));
                 files.clear();
             }
         }
@@ -194,8 +194,7 @@ impl Workshop<'_> {
         record.ground_m = Some(footprint.ground_m());
         record.ground_from = Some(from);
         if let Some(Place::WebMercator(grid)) = &footprint.place {
-            let [width, height] = footprint.size_px.map(f64::from);
-            let center = grid.lonlat(PixelPoint { x: width / 2.0, y: height / 2.0 });
+            let center = grid.center();
             (record.lat_deg, record.lon_deg) = (Some(center.lat_deg), Some(center.lon_deg));
             let stated = grid.ground_sample_distance();
             let [across, _] = footprint.gsd_m;
