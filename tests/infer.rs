@@ -194,7 +194,8 @@ fn heights_are_the_scenes_own_north_up_and_eval_scores_them_at_once() {
     let row = row(&out, &stem);
     assert_eq!(row["status"], "done");
     assert_eq!(row["ground_from"], "place");
-    assert_eq!(row["flags"], "");
+    assert_eq!((row["lat"].parse(), row["lon"].parse()), (Ok(LAT), Ok(LON)));
+    assert!(!row["flags"].contains("ground"), "{}", row["flags"]);
     assert!((row["ground_width_m"].parse::<f64>().unwrap() - 64.44).abs() < 0.1);
     let predictions = json(&out.join("predictions.json"));
     assert_eq!(predictions["plan"]["command"], "infer");
@@ -408,6 +409,7 @@ fn a_bad_image_stops_nothing_and_every_kind_of_png_is_read() {
         let row = row(&out, stem);
         assert_eq!(row["status"], "failed", "{stem}");
         assert!(row["reason"].contains(why), "{stem}: {}", row["reason"]);
+        assert!(row["reason"].starts_with(stem), "no folders: {}", row["reason"]);
         assert!(!out.join(format!("{stem}.npz")).exists());
     }
     let heights = |stem: &str| npz(&out.join(format!("{stem}.npz")), "arr_0");
@@ -589,7 +591,7 @@ fn what_cannot_work_is_said_before_any_work() {
     says(&mut place.infer("", "out", &[]), "VIGOR root");
     says(&mut place.infer("Seattle", "out", &["--no-dsm"]), "leaves nothing to make");
     says(&mut place.infer("Seattle", "out", &["--samples", "4,48"]), "8 to 512");
-    says(&mut place.infer("Seattle", "out", &["--gsd", "-1"]), "--gsd");
+    says(&mut place.infer("Seattle", "out", &["--gsd", "-1"]), "not metres per pixel");
     says(&mut place.infer("Seattle", "out", &["--device", "abacus"]), "cpu, cuda");
     says(&mut place.infer("Seattle", "out", &["--device", "cuda"]), "--features cuda");
     let mut bare = sat3d();

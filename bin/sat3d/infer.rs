@@ -87,7 +87,7 @@ struct InferArgs {
     #[arg(long, value_enum, default_value_t = ScaleArg::Paper)]
     vertical_scale: ScaleArg,
     /// Ground metres per pixel, over what names and georeferences say
-    #[arg(long, value_name = "M[,M]", value_parser = parse_gsd)]
+    #[arg(long, value_name = "M[,M]", allow_negative_numbers = true, value_parser = parse_gsd)]
     gsd: Option<[f64; 2]>,
     /// Threads (default: all cores); the output does not depend on it
     #[arg(long, value_name = "N")]

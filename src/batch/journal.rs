@@ -43,7 +43,7 @@ pub enum JournalError {
         /// The output folder.
         path: PathBuf,
         /// The subcommand's words.
-        words: Words,
+        words: &'static Words,
         /// Which parameters differ, old and new.
         difference: String,
     },
@@ -61,13 +61,13 @@ pub enum JournalError {
         /// The part that differs from those before it.
         path: PathBuf,
         /// The subcommand's words.
-        words: Words,
+        words: &'static Words,
     },
     /// Shards that worked on different lists of items.
     #[error("{}", words.other_list)]
     OtherList {
         /// The subcommand's words.
-        words: Words,
+        words: &'static Words,
     },
     /// A file whose hash is not the one in its journal.
     #[error("{}: the file is not what its journal says; {}", path.display(), words.redo)]
@@ -75,7 +75,7 @@ pub enum JournalError {
         /// The file.
         path: PathBuf,
         /// The subcommand's words.
-        words: Words,
+        words: &'static Words,
     },
     /// A journal line that is not ours.
     #[error("{}: line {line} is no journal entry ({source}); remove the file to start anew", path.display())]
@@ -423,7 +423,7 @@ mod tests {
     }
 
     impl Record for Entry {
-        const WORDS: Words = Words {
+        const WORDS: &'static Words = &Words {
             command: "test",
             holds: "things made",
             anew: "make them anew",

@@ -73,7 +73,7 @@ pub struct Words {
 /// gives the same record.
 pub trait Record: Clone + Debug + Send + Serialize + DeserializeOwned {
     /// The subcommand's words.
-    const WORDS: Words;
+    const WORDS: &'static Words;
 
     /// Name of the item, unique in the batch.
     fn name(&self) -> &str;

@@ -85,7 +85,7 @@ impl Record {
 }
 
 impl batch::Record for Record {
-    const WORDS: Words = Words {
+    const WORDS: &'static Words = &Words {
         command: "dsm-bench build",
         holds: "a benchmark built",
         anew: "build it anew",

@@ -68,7 +68,8 @@ impl Workshop<'_> {
             Ok(true) => {}
             Ok(false) => return None,
             Err(reason) => {
-                record.fail(reason);
+                // Where the image lies on this machine is nobody else's business.
+                record.fail(reason.replace(&*entry.path.to_string_lossy(), &image));
                 files.clear();
             }
         }

@@ -102,7 +102,7 @@ impl Record {
 }
 
 impl batch::Record for Record {
-    const WORDS: Words = Words {
+    const WORDS: &'static Words = &Words {
         command: "infer",
         holds: "predictions made",
         anew: "make them anew",

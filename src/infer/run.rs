@@ -371,7 +371,8 @@ impl Prepared {
 fn summarise(records: &mut [Record], images: usize) -> RunSummary {
     records.sort_by(|a, b| a.name.cmp(&b.name));
     let named = |wanted: &dyn Fn(&Record) -> bool| {
-        Counted::of(records.iter().filter(|r| wanted(r)).map(|r| r.name.as_str()))
+        let done = records.iter().filter(|r| r.status == Status::Done);
+        Counted::of(done.filter(|r| wanted(r)).map(|r| r.name.as_str()))
     };
     RunSummary {
         images,
