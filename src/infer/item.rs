@@ -319,7 +319,7 @@ mod tests {
     }
 
     fn build(panics_at: Option<&'static str>) -> (Product<Record>, Vec<String>) {
-        let config = std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
+        let config = Path::new(env!("CARGO_MANIFEST_DIR"))
             .join("crates/sat3d-model/fixtures/tiny/model/config.json");
         let config = Config::from_json(&std::fs::read_to_string(config).unwrap()).unwrap();
         let read = Arc::new(Mutex::new(Vec::new()));
