@@ -46,9 +46,14 @@ fn leaves() -> Vec<(Vec<String>, String)> {
         arguments.push("--help");
         let help = stdout(&arguments);
         let names = subcommands(&help);
-        if names.is_empty() {
+        // A command with subcommands may also work by itself (`eval`, `infer`).
+        let by_itself = help.lines().any(|line| {
+            line.starts_with("Usage: ")
+                && line.contains(" [OPTIONS]")
+                && !line.contains("<COMMAND>")
+        });
+        if names.is_empty() || by_itself {
             out.push((path.to_vec(), help));
-            return;
         }
         for name in names {
             walk(&[path, &[name]].concat(), out);

@@ -80,6 +80,14 @@ fn gltf(bytes: &[u8]) -> Value {
     serde_json::from_slice(&bytes[20..20 + length]).unwrap()
 }
 
+/// The one row of a manifest.
+fn row(out: &Path) -> std::collections::HashMap<String, String> {
+    let mut reader = csv::Reader::from_path(out.join("manifest.csv")).unwrap();
+    let titles = reader.headers().unwrap().clone();
+    let row = reader.records().next().unwrap().unwrap();
+    titles.iter().zip(row.iter()).map(|(k, v)| (k.to_owned(), v.to_owned())).collect()
+}
+
 #[test]
 fn meshes_are_metres_above_the_dsms_zero() {
     let place = Place::new();
@@ -202,11 +210,37 @@ fn views_are_pictures_in_a_named_light() {
         serde_json::from_slice(&fs::read(place.path("out/predictions.json")).unwrap()).unwrap();
     let light = &predictions["plan"]["parameters"]["illumination"];
     assert!(light["origin"].as_str().unwrap().contains("clear"), "{light}");
+    let written = row(&place.path("out"));
+    assert!(written["light"].contains("clear"), "{}", written["light"]);
+    assert_eq!(written["file"], "", "no heights were asked for, and a view's depth is none");
+    let mut files: Vec<&str> = written["files"].split(';').collect();
+    files.sort_unstable();
+    let ends = [
+        ".scene.safetensors",
+        "_panorama.png",
+        "_panorama_depth.npz",
+        "_panorama_depth.png",
+        "_perspective.png",
+        "_perspective_depth.npz",
+        "_perspective_depth.png",
+        "_satellite.png",
+        "_satellite_depth.npz",
+        "_satellite_depth.png",
+    ];
+    assert_eq!(files, ends.map(|end| format!("{STEM}{end}")));
 
     run(place.infer("white", &views).args(["--illumination", "white"]), 0);
     let same = |end: &str| place.bytes("out", end) == place.bytes("white", end);
     assert!(same("_satellite.png"), "no light from the sky falls on the view from above");
     assert!(!same("_panorama.png") && !same("_perspective.png"));
+    assert_eq!(row(&place.path("white"))["light"], "bundled sky white");
+    // A scene keeps the light that it was saved with, and says which that is.
+    let white = format!("white/{STEM}.scene.safetensors");
+    run(&mut place.command(&white, "kept", &["--no-dsm", "--panorama"]), 0);
+    assert_eq!(row(&place.path("kept"))["light"], "bundled sky white");
+    let clear = ["--no-dsm", "--panorama", "--illumination", "clear"];
+    run(place.command(&white, "relit", &clear).arg("--weights").arg(weights()), 0);
+    assert_eq!(row(&place.path("relit"))["light"], "bundled sky clear");
 
     // The stored scene has its sky: with the weights for the super-resolution it gives the same pictures,
     // without them those of the rays.
@@ -252,6 +286,16 @@ fn a_path_is_filmed() {
     let output = run(place.infer("out", &film).arg("--json"), 0);
     let summary: Value = serde_json::from_str(&stdout(&output)).unwrap();
     assert_eq!(summary["kept"], 1, "frames in their folder count as what was written");
+    // Made anew with fewer frames, with the leftover of a killed run beside them.
+    fs::write(folder.join(".0001.png.abcdef.part"), "half").unwrap();
+    fs::write(folder.join("notes.txt"), "somebody's own").unwrap();
+    let fewer = film.map(|word| if word == "2" { "4" } else { word });
+    run(&mut place.infer("out", &fewer), 2);
+    run(place.infer("out", &fewer).arg("--overwrite"), 0);
+    let mut left: Vec<_> =
+        fs::read_dir(&folder).unwrap().map(|item| item.unwrap().file_name()).collect();
+    left.sort();
+    assert_eq!(left, ["0001.png", "notes.txt"], "the second frame and the leftover are gone");
 }
 
 #[test]
@@ -293,6 +337,13 @@ fn mistakes_are_said_before_any_work() {
     ] {
         let output = run(&mut folder(extra), 2);
         assert!(stderr(&output).contains(says), "{extra:?}: {}", stderr(&output));
+    }
+    // Nothing is written over an input, nor where the next run would take it for one.
+    fs::rename(place.path("other.png"), place.path(&format!("{STEM}_satellite.png"))).unwrap();
+    for extra in [&["--satellite"][..], &["--panorama"], &["--geotiff"]] {
+        let mut command = place.command(".", ".", extra);
+        let output = run(command.arg("--weights").arg(weights()), 2);
+        assert!(stderr(&output).contains("another --out"), "{}", stderr(&output));
     }
     // A place outside the image fails that image alone, with the place.
     let output = run(&mut folder(&["--no-dsm", "--perspective", "--position", "px:900,10"]), 1);

@@ -111,8 +111,13 @@ with torch.no_grad():
     field = timed("decoder", lambda: planes(features))
     timed("dsm", lambda: ortho(field))
     light = timed("sky", sky)
-    timed("panorama", lambda: view(field, light, syn_pano=True))
-    timed("perspective", lambda: view(field, light, syn_pano=False, syn_per=True))
+    for name, kind, wanted in (
+        ("panorama", "str_output", {"syn_pano": True}),
+        ("perspective", "per_output", {"syn_pano": False, "syn_per": True}),
+    ):
+        result = timed(name, lambda: view(field, light, **wanted))
+        composite = result[kind].image_raw_compo
+        timed(f"{name}, super-resolution only", lambda: model.sr_module(composite))
     timed("grid 320", lambda: grid(field))
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024 / 1024
 print(json.dumps({"stage": "peak memory", "gib": peak}))

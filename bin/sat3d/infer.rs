@@ -246,9 +246,12 @@ fn explain(prepared: &infer::Prepared, json: bool) -> anyhow::Result<ExitCode> {
     if json {
         console::print(&(serde_json::to_string_pretty(&prepared.plan)? + "\n"))?;
     } else {
-        let images = prepared.entries().len();
+        let images = prepared.entries_of_shard().len();
         console::print(&prepared.plan.explain())?;
-        console::print(&format!("  {images} image{} to do\n", if images == 1 { "" } else { "s" }))?;
+        console::print(&format!(
+            "  {images} image{} of this run\n",
+            if images == 1 { "" } else { "s" }
+        ))?;
     }
     Ok(ExitCode::Success)
 }

@@ -57,7 +57,7 @@ pub(crate) struct ViewArgs {
     #[arg(long, value_name = "FILE|DIR")]
     cameras: Option<PathBuf>,
     /// Also write the frames of a path into <stem>_trajectory/, and a GIF (with ffmpeg an MP4): a CSV of
-    /// columns w, h (pixels of the image) and angle; panoramas, if not --follow or --surround
+    /// columns w, h (pixels of the image) and angle; without --follow and --surround they are panoramas
     #[arg(long, value_name = "CSV")]
     trajectory: Option<PathBuf>,
     /// Frames look along the path

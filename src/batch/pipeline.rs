@@ -172,29 +172,43 @@ fn keep_records<R: Record>(
     }
 }
 
-/// Removes temporary files (and folders, of volumes) that a killed run left in `out`; `ours` says whether a
-/// target's name is one that the batch writes. The caller holds the folder's lock.
+/// Removes temporary files (and folders, of volumes) that a killed run left in `out` and in the folders
+/// of its items; `ours` says whether a target, named relative to `out`, is one that the batch writes, or a
+/// folder of such. The caller holds the folder's lock.
 pub fn remove_leftovers(out: &Path, ours: impl Fn(&str) -> bool) {
-    let Ok(items) = std::fs::read_dir(out) else { return };
+    remove_below(out, "", &ours);
+}
+
+fn remove_below(folder: &Path, prefix: &str, ours: &impl Fn(&str) -> bool) {
+    let Ok(items) = std::fs::read_dir(folder) else { return };
     for item in items.filter_map(Result::ok) {
         let name = item.file_name().to_string_lossy().into_owned();
-        if !leftover_of(&name).is_some_and(&ours) {
+        let (path, below) = (item.path(), format!("{prefix}{name}"));
+        let Some(target) = leftover_of(&name) else {
+            if path.is_dir() && ours(&below) {
+                remove_below(&path, &format!("{below}/"), ours);
+            }
+            continue;
+        };
+        if !ours(&format!("{prefix}{target}")) {
             continue;
         }
-        let path = item.path();
         let removed = match path.is_dir() {
             true => std::fs::remove_dir_all(&path),
             false => std::fs::remove_file(&path),
         };
         if let Err(error) = removed {
-            tracing::warn!("cannot remove the leftover {name}: {error}");
+            tracing::warn!("cannot remove the leftover {below}: {error}");
         }
     }
 }
 
-/// The target of an [`AtomicFile`]'s temporary file `.<target>.<six characters>.part`.
+/// The target of a temporary file `.<target>.<six characters>.part`, or of a folder that was being replaced
+/// (`.old`).
 fn leftover_of(name: &str) -> Option<&str> {
-    name.strip_prefix('.')?.strip_suffix(".part")?.rsplit_once('.').map(|(target, _)| target)
+    let hidden = name.strip_prefix('.')?;
+    let hidden = hidden.strip_suffix(".part").or_else(|| hidden.strip_suffix(".old"))?;
+    hidden.rsplit_once('.').map(|(target, _)| target)
 }
 
 #[cfg(test)]
@@ -214,5 +228,14 @@ mod tests {
         assert!(left.path().exists());
         remove_leftovers(folder.path(), |target| target == "a.npz");
         assert!(!left.path().exists());
+        // In the folder of an item, and nowhere else.
+        for name in ["a_path", "b_path"] {
+            std::fs::create_dir(folder.path().join(name)).expect("makes");
+            std::fs::write(folder.path().join(name).join(".1.png.abcdef.part"), b"")
+                .expect("writes");
+        }
+        remove_leftovers(folder.path(), |target| ["a_path", "a_path/1.png"].contains(&target));
+        let left = |name: &str| folder.path().join(name).join(".1.png.abcdef.part").exists();
+        assert!(!left("a_path") && left("b_path"));
     }
 }

@@ -6,15 +6,10 @@ use crate::footprint::{TRAINING_WIDTH_M, VerticalScale};
 use crate::illumination::Illumination;
 use crate::model::Device;
 use crate::model::mesh::MeshLattice;
-use crate::model::render::{DepthKind, Sampling};
+use crate::model::render::{DepthKind, RELEASED_RMS, STABLE_RMS, SampleCounts, Sampling};
 use crate::plan::{Bound, Plan, Step};
 use serde_json::{Map, Value, json};
 
-/// Error of the DSM's depth divided by opacity against the exact integral of the same field, metres rms, the
-/// worst of the closed-form fields: measured, 48 + 48 samples, not proven.
-const REFERENCE_RMS_M: f64 = 0.109;
-/// The same of the stable quadrature.
-const STABLE_RMS_M: f64 = 0.046;
 /// Floating-point operations of the point head per point, density alone, before folding.
 const HEAD_FLOP: f64 = 8.3e3;
 
@@ -173,22 +168,29 @@ fn effect_steps(options: &InferOptions, light: Option<&Illumination>) -> Vec<Ste
 }
 
 fn height_steps(options: &InferOptions) -> Vec<Step> {
-    let on = options.outputs.needs_heights();
+    let outputs = &options.outputs;
+    let on = outputs.needs_heights();
+    let views = !outputs.views.is_empty();
     let render = &options.render;
     let (coarse, fine) = (render.samples.coarse(), render.samples.fine());
     let rays = f64::from(options.size) * f64::from(options.size);
     let gflop = rays * (coarse + fine) as f64 * HEAD_FLOP / 1e9;
-    let (name, rms_m, reason) = match render.sampling {
-        Sampling::Reference => (
-            "reference",
-            REFERENCE_RMS_M,
-            "as released, so that published numbers follow; measured, not proven: rms against the exact integral on closed-form fields, 48 + 48 samples, worst case",
+    let (name, rms, why) = match render.sampling {
+        Sampling::Reference => {
+            ("reference", RELEASED_RMS, "as released, so that published numbers follow")
+        }
+        Sampling::Stable => ("stable", STABLE_RMS, "--sampling stable"),
+    };
+    let measured = render.samples == SampleCounts::default();
+    let rms_m = if on && measured { rms * TRAINING_WIDTH_M / 2.0 } else { 0.0 };
+    let reason = match (on, measured) {
+        (true, true) => format!(
+            "{why}; measured, not proven: rms against the exact integral on closed-form fields, the worst of four, depth normalised"
         ),
-        Sampling::Stable => (
-            "stable",
-            STABLE_RMS_M,
-            "--sampling stable; measured, not proven: rms against the exact integral on closed-form fields, 48 + 48 samples, worst case",
+        (true, false) => format!(
+            "{why}; the error of so many samples was not measured, NOT counted in the bounds"
         ),
+        (false, _) => why.to_owned(),
     };
     let (depth, depth_reason) = match render.depth_kind() {
         DepthKind::Raw => (
@@ -213,24 +215,25 @@ fn height_steps(options: &InferOptions) -> Vec<Step> {
     let storage_m = TRAINING_WIDTH_M / 0.8 * f64::from(f32::EPSILON) / 4.0;
     vec![
         Step {
-            bound: Bound::vertical(if on { rms_m } else { 0.0 }),
-            cost: format!("{gflop:.0} GFLOP per image, before folding"),
+            bound: Bound::vertical(rms_m),
+            cost: format!("{gflop:.0} GFLOP per DSM, before folding"),
+            reason,
             ..step(
                 "rays",
-                on,
+                on || views,
                 format!("{name}, {coarse} + {fine} samples"),
-                ["", "the surface is an integral along a ray", reason],
+                ["", "the surface is an integral along a ray", ""],
             )
         },
         step(
             "depth",
-            on,
+            on || outputs.views.depth,
             depth,
             ["none", "rays that the scene does not stop wholly", depth_reason],
         ),
         step(
             "vertical-scale",
-            on,
+            on || views || outputs.mesh.is_some() || outputs.density.is_some(),
             scale,
             ["none", "the cube has no height of its own: a convention, no error", scale_reason],
         ),

@@ -2,14 +2,14 @@
 
 use super::list::{Entry, Kind};
 use super::options::InferOptions;
-use super::outputs::{Heights, NOTE_FOOTPRINT, NamedBytes};
+use super::outputs::{Heights, NOTE_FOOTPRINT, NOTE_LIGHT, NOTE_WEIGHTS, NamedBytes};
 use super::record::{GroundFrom, Record};
 use super::renders::Subject;
 use super::{GROUND_TOLERANCE, Identity};
 use crate::batch::{Interrupt, OutputFile, Product, Record as _};
 use crate::footprint::{Footprint, Place, TRAINING_WIDTH_M};
 use crate::illumination::{self, Illumination};
-use crate::model::render::{DepthKind, Dsm, LEAST_OPACITY};
+use crate::model::render::{DepthKind, Dsm, LEAST_OPACITY, exact_scale};
 use crate::model::scene::{SceneParts, SkyParts};
 use crate::model::{Image8, Model, Scene};
 use crate::picture;
@@ -31,6 +31,8 @@ pub struct Workshop<'a> {
     pub stop: &'a Interrupt,
     /// Held by the image whose turn it is: each takes all threads, and the memory of one is enough.
     pub turn: &'a Mutex<()>,
+    /// Set where the disk is full, which ends the run.
+    pub disk_full: &'a Interrupt,
     /// The light of street views, where there are any.
     pub light: Option<&'a Illumination>,
     /// The sky in that light, computed once for all images.
@@ -68,6 +70,8 @@ impl Workshop<'_> {
             Ok(true) => {}
             Ok(false) => return None,
             Err(reason) => {
+                // A volume is written before the other files are made.
+                self.remove_volume(&entry.stem);
                 // Where the image lies on this machine is nobody else's business.
                 record.fail(reason.replace(&*entry.path.to_string_lossy(), &image));
                 files.clear();
@@ -122,10 +126,11 @@ impl Workshop<'_> {
         }
         self.pool.install(|| {
             let (scene, image) = match source {
-                Source::Scene(scene) => (self.relit(*scene, unit_m)?, None),
+                Source::Scene(scene) => (self.relit(*scene, unit_m, record)?, None),
                 Source::Image(image) => {
                     let model = self.model.ok_or("a picture needs --weights")?;
                     let sky = self.options.outputs.needs_sky().then(|| self.sky()).transpose()?;
+                    record.light = self.light.map(|light| light.origin.clone());
                     let scene = model.scene(&image, sky, unit_m).map_err(|e| e.to_string())?;
                     (scene, Some(image))
                 }
@@ -151,10 +156,16 @@ impl Workshop<'_> {
     }
 
     /// A stored scene with the heights and the light of this run. Its own sky stays where no other was
-    /// named.
-    fn relit(&self, scene: Scene, unit_m: f64) -> Result<Scene, String> {
+    /// named; `record` comes with that sky's name.
+    fn relit(&self, scene: Scene, unit_m: f64, record: &mut Record) -> Result<Scene, String> {
         let stored = scene.parts().sky.is_some() && self.options.illumination.is_none();
-        let new_sky = self.options.outputs.needs_sky() && !stored;
+        let needed = self.options.outputs.needs_sky();
+        let new_sky = needed && !stored;
+        if !needed {
+            record.light = None;
+        } else if new_sky {
+            record.light = self.light.map(|light| light.origin.clone());
+        }
         if scene.parts().metres_per_unit == unit_m && !new_sky {
             return Ok(scene);
         }
@@ -187,6 +198,17 @@ impl Workshop<'_> {
         record: &mut Record,
     ) -> Result<(Source, Footprint, f64), String> {
         let (scene, notes) = Scene::load_with_notes(path).map_err(|error| error.to_string())?;
+        let unnamed = || "the sky that the scene was saved with".to_owned();
+        let light = notes.get(NOTE_LIGHT).cloned().unwrap_or_else(unnamed);
+        record.light = scene.parts().sky.is_some().then_some(light);
+        if let (Some(made), Some(here)) = (notes.get(NOTE_WEIGHTS), self.identity)
+            && *made != here.sampled_sha256
+        {
+            record.flags.push(
+                "the scene was made with other weights than those that sharpen or light its views"
+                    .into(),
+            );
+        }
         let noted = notes.get(NOTE_FOOTPRINT);
         let noted: Option<Footprint> = noted.and_then(|json| serde_json::from_str(json).ok());
         // A scene whose size was assumed when it was saved is no better known now.
@@ -198,9 +220,7 @@ impl Workshop<'_> {
             footprint.gsd_m = gsd_m;
         }
         self.describe_ground(record, &footprint, known)?;
-        // The decimal number that was meant by an f32: 0.8, not 0.800000012.
-        let scale = scene.field().scale();
-        let scale = scale.to_string().parse().unwrap_or(f64::from(scale));
+        let scale = exact_scale(scene.field().scale());
         Ok((Source::Scene(Box::new(scene)), footprint, scale))
     }
 
@@ -341,6 +361,7 @@ mod tests {
             pool: &rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap(),
             stop: &Interrupt::default(),
             turn: &Mutex::new(()),
+            disk_full: &Interrupt::default(),
             light: None,
             sky: &OnceLock::new(),
         };
@@ -357,6 +378,10 @@ mod tests {
         assert_eq!(product.record.reason, "");
         let files: Vec<&str> = product.files.iter().map(|(name, _)| name.as_str()).collect();
         assert_eq!(files, ["image.scene.safetensors", "image.npz", "image.tif"]);
+        let mut recorded: Vec<&str> =
+            product.record.outputs.iter().map(|output| output.file.as_str()).collect();
+        recorded.sort_unstable();
+        assert_eq!(recorded, ["image.npz", "image.scene.safetensors", "image.tif"]);
         let of = |part: &str| read.iter().filter(|key| key.starts_with(part)).count();
         assert!(
             of("unet_model.dino_model.") > 10 && of("unet_model.decoder.") > 10 && of("mlp.") > 5

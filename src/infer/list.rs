@@ -9,8 +9,12 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-/// File endings of pictures.
-const PICTURES: [&str; 5] = ["png", "jpg", "jpeg", "tif", "tiff"];
+/// File endings of pictures; the last three are GDAL's.
+const PICTURES: &[&str] = if cfg!(feature = "gdal") {
+    &["png", "jpg", "jpeg", "tif", "tiff", "vrt", "jp2", "webp"]
+} else {
+    &["png", "jpg", "jpeg", "tif", "tiff"]
+};
 /// Columns of a manifest that can name an image, the preferred first; `name` is a stem.
 const COLUMNS: [&str; 5] = ["satellite", "image", "path", "name", "file"];
 
@@ -99,6 +103,14 @@ pub fn list(input: &Path, root: Option<&Path>) -> Result<Vec<Entry>, InferError>
     Ok(entries.into_values().collect())
 }
 
+/// Whether a file of this name would be taken for a picture; folders' names may stand before it.
+pub fn is_picture(name: &str) -> bool {
+    !name.contains('/')
+        && name
+            .rsplit_once('.')
+            .is_some_and(|(_, end)| PICTURES.iter().any(|known| end.eq_ignore_ascii_case(known)))
+}
+
 fn from_folder(folder: &Path) -> Result<Vec<PathBuf>, InferError> {
     let satellite = folder.join("satellite");
     let images = if satellite.is_dir() { &satellite } else { folder };
@@ -112,15 +124,14 @@ fn from_folder(folder: &Path) -> Result<Vec<PathBuf>, InferError> {
         let name = path.file_name().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
         !name.starts_with('.') && wanted(&name)
     };
-    let picture =
-        |name: &str| name.rsplit_once('.').is_some_and(|(_, end)| PICTURES.contains(&end));
-    let pictures: Vec<PathBuf> = all.iter().filter(|p| named(p, &picture)).cloned().collect();
-    if !pictures.is_empty() {
-        return Ok(pictures);
-    }
+    // Scenes lie among the pictures that were made with them: a folder that holds some is a folder of scenes.
     let scene = |name: &str| name.ends_with(SCENE_END);
     let scenes: Vec<PathBuf> = all.iter().filter(|p| named(p, &scene)).cloned().collect();
-    if scenes.is_empty()
+    if !scenes.is_empty() {
+        return Ok(scenes);
+    }
+    let pictures: Vec<PathBuf> = all.iter().filter(|p| named(p, &is_picture)).cloned().collect();
+    if pictures.is_empty()
         && let Some(city) = all.iter().filter(|path| path.join("satellite").is_dir()).min()
     {
         return Err(InferError::Input(format!(
@@ -129,7 +140,7 @@ fn from_folder(folder: &Path) -> Result<Vec<PathBuf>, InferError> {
             city.display()
         )));
     }
-    Ok(scenes)
+    Ok(pictures)
 }
 
 /// A name in a list, with the city that a VIGOR manifest puts beside it.

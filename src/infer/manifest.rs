@@ -130,7 +130,10 @@ fn run_json(facts: &RunFacts<'_>) -> Value {
 
 /// The manifest as a table: one row per image, geometry = the image's centre.
 fn table(records: &[Record]) -> Result<Table, TableError> {
-    let output = |r: &Record, end: &str| r.outputs.iter().find(|o| o.file.ends_with(end)).cloned();
+    let output = |r: &Record, end: &str| {
+        let name = format!("{}{end}", r.name);
+        r.outputs.iter().find(|output| output.file == name).cloned()
+    };
     let npz = |r: &Record| output(r, ".npz");
     let hash = |output: Option<OutputFile>| output.map_or_else(String::new, |o| o.sha256);
     let files = |r: &Record| -> String {
@@ -169,6 +172,7 @@ fn table(records: &[Record]) -> Result<Table, TableError> {
         count("no_surface_px", "Pixels whose ray met no surface (opacity under 0.05)", &|r| {
             r.no_surface_px.map(|n| n as i64)
         }),
+        text("light", "Light of the street views", &|r| r.light.clone().unwrap_or_default()),
         text("flags", "Things to look at", &|r| r.flags.join("; ")),
         text("file", "The heights, relative to the manifest", &|r| {
             npz(r).map_or_else(String::new, |o| o.file)

@@ -3,7 +3,7 @@
 use crate::batch::{Shard, Verify};
 use crate::footprint::VerticalScale;
 use crate::illumination::Illumination;
-use crate::mesh_file::MeshFormat;
+use crate::mesh_file::{self, MeshFormat};
 use crate::model::Device;
 use crate::model::mesh::{MeshColor, MeshFrame, MeshLattice};
 use crate::model::render::{RenderOptions, SampleCounts};
@@ -146,7 +146,7 @@ impl Outputs {
             let own = mesh.stem(stem);
             files.push(format!("{own}.{}", mesh.format.extension()));
             if mesh.format == MeshFormat::Obj && mesh.color == MeshColor::Texture {
-                files.extend([format!("{own}.mtl"), format!("{own}.png")]);
+                files.extend(mesh_file::companions(own));
             }
         }
         match self.density.map(|volume| volume.format) {

@@ -17,6 +17,9 @@ pub const NOTE_FOOTPRINT: &str = "sat3d.footprint";
 /// Entry of a scene file's metadata with the hash that names its weights.
 pub const NOTE_WEIGHTS: &str = "sat3d.weights_sampled_sha256";
 
+/// Entry of a scene file's metadata with the name of the light that its sky is of.
+pub const NOTE_LIGHT: &str = "sat3d.light";
+
 /// A file to be written: its path in the output folder, and its content.
 pub type NamedBytes = (String, Vec<u8>);
 
@@ -108,12 +111,16 @@ impl Workshop<'_> {
         scene: &Scene,
         footprint: &Footprint,
         stem: &str,
+        light: Option<&str>,
     ) -> Result<Vec<NamedBytes>, String> {
         let mut notes = BTreeMap::new();
         let json = serde_json::to_string(footprint).map_err(|error| error.to_string())?;
         notes.insert(NOTE_FOOTPRINT.to_owned(), json);
         if let Some(identity) = self.identity {
             notes.insert(NOTE_WEIGHTS.to_owned(), identity.sampled_sha256.clone());
+        }
+        if let Some(light) = light.filter(|_| scene.parts().sky.is_some()) {
+            notes.insert(NOTE_LIGHT.to_owned(), light.to_owned());
         }
         let bytes = scene.to_bytes(&notes).map_err(|error| error.to_string())?;
         Ok(vec![(format!("{stem}{SCENE_END}"), bytes)])

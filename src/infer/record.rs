@@ -67,6 +67,9 @@ pub struct Record {
     pub opacity: Option<f64>,
     /// Pixels of the DSM whose ray met no surface (opacity under 0.05).
     pub no_surface_px: Option<u64>,
+    /// Light of the street views, where there are any.
+    #[serde(default)]
+    pub light: Option<String>,
     /// Things to look at.
     pub flags: Vec<String>,
     /// Files written.
@@ -95,6 +98,7 @@ impl Record {
             mean_m: None,
             opacity: None,
             no_surface_px: None,
+            light: None,
             flags: Vec::new(),
             outputs: Vec::new(),
         }

@@ -9,10 +9,11 @@ use crate::footprint::Footprint;
 use crate::grid::LonLat;
 use crate::mesh_file::{self, MeshGeoreference};
 use crate::model::mesh::{MeshLattice, MeshOptions};
-use crate::model::render::{Border, DensityGrid, Lattice, ReferenceGrid};
+use crate::model::render::{Border, DensityGrid, Lattice, ReferenceGrid, exact_scale};
 use crate::model::{Image8, Scene};
 use crate::views::{self, ViewContext};
-use crate::volume::{self, Axes, Frame, VolumeDescription, ZarrVolume};
+use crate::volume::{self, Axes, Frame, VolumeDescription, VolumeError, ZarrVolume};
+use std::io::ErrorKind;
 use std::path::Path;
 
 /// One image's scene, with what its outputs need to know.
@@ -27,10 +28,8 @@ pub struct Subject<'a> {
 }
 
 impl Subject<'_> {
-    /// The decimal number that was meant by an `f32`: 0.8, not 0.800000012.
     fn scale(&self) -> f64 {
-        let scale = self.scene.field().scale();
-        scale.to_string().parse().unwrap_or(f64::from(scale))
+        exact_scale(self.scene.field().scale())
     }
 
     /// Ground metres per cube unit, across and down.
@@ -67,7 +66,12 @@ impl Workshop<'_> {
     ) -> Result<(), String> {
         let outputs = &self.options.outputs;
         if outputs.scene {
-            files.extend(self.scene(subject.scene, subject.footprint, subject.stem)?);
+            files.extend(self.scene(
+                subject.scene,
+                subject.footprint,
+                subject.stem,
+                record.light.as_deref(),
+            )?);
         }
         if let Some(request) = &outputs.mesh {
             files.extend(mesh(request, subject)?);
@@ -85,7 +89,7 @@ impl Workshop<'_> {
         match outputs.density {
             Some(VolumeRequest { format: VolumeFormat::Npy, lattice }) => {
                 let grid = subject.densities(lattice);
-                let axes = axes(&grid, subject).0;
+                let axes = axes(&grid, subject)?.0;
                 let stem = format!("{}{DENSITY_END}", subject.stem);
                 files.push((format!("{stem}.npy"), volume::npy(&grid)));
                 let coordinates = volume::coordinates_npz(&axes);
@@ -101,7 +105,7 @@ impl Workshop<'_> {
 
     fn zarr(&self, subject: &Subject<'_>, lattice: MeshLattice) -> Result<Vec<OutputFile>, String> {
         let grid = subject.densities(lattice);
-        let (axes, frame) = axes(&grid, subject);
+        let (axes, frame) = axes(&grid, subject)?;
         let [x, y] = subject.across_m();
         let mut description = VolumeDescription::new(axes, frame, [x, y, subject.unit_m]);
         let software = format!("sat3d {}", env!("CARGO_PKG_VERSION"));
@@ -117,12 +121,34 @@ impl Workshop<'_> {
             volume.write_region([0; 3], grid.shape(), &grid.values)?;
             volume.finish()
         };
-        written().map_err(|error| error.to_string())?;
+        written().map_err(|error| {
+            if matches!(&error, VolumeError::Io { source, .. } if source.kind() == ErrorKind::StorageFull)
+            {
+                self.disk_full.request();
+            }
+            // Manifests name no folders of this machine.
+            error.to_string().replace(&format!("{}/", self.options.out.display()), "")
+        })?;
         let mut files = Vec::new();
         recorded(&target, &name, &mut files)
             .map_err(|error| format!("{}: {error}", target.display()))?;
         files.sort_unstable_by(|a, b| a.file.cmp(&b.file));
         Ok(files)
+    }
+}
+
+impl Workshop<'_> {
+    /// Removes the volume of an image that failed after it was written.
+    pub fn remove_volume(&self, stem: &str) {
+        if matches!(self.options.outputs.density, Some(request) if request.format == VolumeFormat::Zarr)
+        {
+            let target = self.options.out.join(format!("{stem}{DENSITY_END}.zarr"));
+            if let Err(error) = std::fs::remove_dir_all(&target)
+                && error.kind() != ErrorKind::NotFound
+            {
+                tracing::warn!("cannot remove {}: {error}", target.display());
+            }
+        }
     }
 }
 
@@ -141,18 +167,19 @@ fn recorded(folder: &Path, name: &str, files: &mut Vec<OutputFile>) -> std::io::
 }
 
 /// Coordinates of a volume: on the map where the image's place is known, else metres about its centre.
-fn axes(grid: &DensityGrid, subject: &Subject<'_>) -> (Axes, Frame) {
+fn axes(grid: &DensityGrid, subject: &Subject<'_>) -> Result<(Axes, Frame), String> {
     let (footprint, unit_m) = (subject.footprint, subject.unit_m);
     let on_map = Axes::on_map(&grid.lattice, footprint, subject.scale(), unit_m);
-    match (on_map, footprint.ground_grid([1, 1])) {
+    Ok(match (on_map, footprint.ground_grid([1, 1])) {
         (Some(axes), Some(ground)) if ground.crs.epsg.is_some() || ground.crs.wkt.is_some() => {
             (axes, Frame::Map(ground.crs))
         }
         _ => {
             let [x, y] = subject.across_m();
-            (Axes::local(&grid.lattice, [x, y, unit_m]), Frame::Local { origin: None })
+            let frame = Frame::Local { origin: subject.center()? };
+            (Axes::local(&grid.lattice, [x, y, unit_m]), frame)
         }
-    }
+    })
 }
 
 fn mesh(request: &MeshRequest, subject: &Subject<'_>) -> Result<Vec<NamedBytes>, String> {

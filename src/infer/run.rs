@@ -4,13 +4,13 @@ use super::InferError;
 use super::explain::{self, Inputs};
 use super::identity::Identity;
 use super::item::{Workshop, fingerprint, other_ground};
-use super::list::{Entry, Kind, list};
+use super::list::{self, Entry, Kind};
 use super::manifest::{self, RunFacts};
 use super::options::InferOptions;
 use super::record::{GroundFrom, Record};
 use crate::batch::{
-    Batch, ExitCode, FolderLock, Header, Interrupt, Journal, Progress, Status, count_reasons,
-    count_status, join, remove_leftovers,
+    Batch, ExitCode, FolderLock, Header, Interrupt, Journal, Journals, Progress, Status,
+    count_reasons, count_status, join, remove_leftovers,
 };
 use crate::footprint::TRAINING_WIDTH_M;
 use crate::illumination::Illumination;
@@ -137,10 +137,10 @@ pub fn prepare(mut options: InferOptions) -> Result<Prepared, InferError> {
             "--gsd {gsd}: must be 0.001 to 10000 (metres per pixel)"
         )));
     }
-    let entries = list(&options.input, options.root.as_deref())?;
-    check_collisions(&options, &entries)?;
+    let entries = list::list(&options.input, options.root.as_deref())?;
     let pictures = entries.iter().filter(|entry| entry.kind == Kind::Picture).count();
     check_names(&options, &entries, pictures)?;
+    check_collisions(&options, &entries)?;
     let pictures = pictures > 0;
     let mut warnings = Vec::new();
     let weights = find_weights(&options, pictures, &mut warnings)?;
@@ -227,20 +227,38 @@ fn check_names(
     Ok(())
 }
 
-/// No output may replace an input.
+/// No output may replace an input or another image's output, nor be taken for an input by the next run.
 fn check_collisions(options: &InferOptions, entries: &[Entry]) -> Result<(), InferError> {
+    let mut makers: HashMap<String, &str> = HashMap::new();
+    for entry in entries {
+        for file in options.outputs.files_of(&entry.stem) {
+            if let Some(other) = makers.insert(file.clone(), &entry.stem) {
+                return Err(InferError::Input(format!(
+                    "{other} and {}: both would write {file}; rename one of them",
+                    entry.stem
+                )));
+            }
+        }
+    }
     let Ok(out) = options.out.canonicalize() else { return Ok(()) };
     for entry in entries {
         let name = entry.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        if options.outputs.files_of(&entry.stem).contains(&name)
-            && let Some(folder) = entry.path.parent()
-            && folder.canonicalize().is_ok_and(|folder| folder == out)
-        {
+        let folder = entry.path.parent().and_then(|folder| folder.canonicalize().ok());
+        if makers.contains_key(&name) && folder.is_some_and(|folder| folder == out) {
             return Err(InferError::Input(format!(
-                "{}: this input would be replaced by its own output; use another --out",
+                "{}: this input would be replaced by an output; use another --out",
                 entry.path.display()
             )));
         }
+    }
+    let same = options.input.canonicalize().is_ok_and(|input| input == out);
+    if let Some(picture) = makers.keys().filter(|file| list::is_picture(file)).min()
+        && same
+    {
+        return Err(InferError::Input(format!(
+            "--out {}: the next run would take {picture} for an input; use another --out",
+            options.out.display()
+        )));
     }
     Ok(())
 }
@@ -274,6 +292,12 @@ impl Prepared {
         &self.entries
     }
 
+    /// Of those, the ones of this shard.
+    #[must_use]
+    pub fn entries_of_shard(&self) -> &[Entry] {
+        &self.entries[self.options.shard.range(self.entries.len())]
+    }
+
     /// The network's description, where the network runs.
     #[must_use]
     pub fn config(&self) -> Option<&Config> {
@@ -299,15 +323,25 @@ impl Prepared {
             plan_hash: self.plan.hash(),
             description: manifest::description(&self.plan, self.identity.as_ref(), self.config()),
         };
+        // What is made anew leaves nothing of what was there (frames of a longer film).
+        let stale = match options.overwrite {
+            true => Journals::<Record>::read(out).map(|all| all.records).unwrap_or_default(),
+            false => HashMap::new(),
+        };
         let (mut journal, earlier) = Journal::open(out, options.shard, &header, options.overwrite)?;
         if options.shard.is_whole() {
-            let files = self.entries.iter().flat_map(|e| options.outputs.files_of(&e.stem));
-            let ours: HashSet<String> = files.collect();
+            let mut ours: HashSet<String> =
+                self.entries.iter().flat_map(|e| options.outputs.files_of(&e.stem)).collect();
+            let folders: Vec<String> =
+                ours.iter().filter_map(|file| Some(file.rsplit_once('/')?.0.to_owned())).collect();
+            ours.extend(folders);
             remove_leftovers(out, |name| ours.contains(name));
+            remove_stale(out, &stale, &ours);
         }
-        let mine = &self.entries[options.shard.range(self.entries.len())];
+        let mine = self.entries_of_shard();
         let (mut records, todo) = self.sort_out(mine, earlier.records);
         let kept = count_status(&records, Status::Done);
+        let disk_full = Interrupt::default();
         let workshop = Workshop {
             options,
             model: self.model.as_ref(),
@@ -315,11 +349,11 @@ impl Prepared {
             pool: &pool,
             stop,
             turn: &Mutex::new(()),
+            disk_full: &disk_full,
             light: self.light.as_ref(),
             sky: &OnceLock::new(),
         };
         let progress = Progress::new("inferring", "images", todo.len(), options.quiet);
-        let disk_full = Interrupt::default();
         let workers = threads.min(WORKERS);
         let batch =
             Batch { out, threads: workers, progress: &progress, stop, disk_full: &disk_full };
@@ -385,6 +419,26 @@ fn summarise(records: &mut [Record], images: usize) -> RunSummary {
         assumed_ground: named(&|r| r.ground_from == Some(GroundFrom::Assumed)),
         flagged: records.iter().filter(|r| !r.flags.is_empty()).count(),
         ..RunSummary::default()
+    }
+}
+
+/// Removes files that earlier runs have recorded and this one does not write.
+fn remove_stale(out: &Path, records: &HashMap<String, Record>, ours: &HashSet<String>) {
+    let files = records.values().flat_map(|record| &record.outputs).map(|output| &output.file);
+    // A volume is one target, whatever its files are called.
+    let kept = |file: &str| {
+        ours.contains(file) || file.split('/').next().is_some_and(|top| ours.contains(top))
+    };
+    for file in files.filter(|file| file.contains('/') && !ours.contains(*file)) {
+        let volume = file.split_once('/').is_some_and(|(top, _)| top.ends_with(".zarr"));
+        if volume && kept(file) {
+            continue;
+        }
+        if let Err(error) = std::fs::remove_file(out.join(file))
+            && error.kind() != std::io::ErrorKind::NotFound
+        {
+            tracing::warn!("cannot remove {file} of an earlier run: {error}");
+        }
     }
 }
 

@@ -161,10 +161,8 @@ pub fn encode(
         MeshFormat::Glb => write_glb(mesh, georeference, texture, &mut bytes)?,
         MeshFormat::Ply => write_ply(mesh, georeference, texture, &mut bytes)?,
         MeshFormat::Obj => {
-            let plain: String =
-                stem.chars().map(|c| if c.is_whitespace() { '_' } else { c }).collect();
             let textured = mesh.texture_coordinates.is_some();
-            let (material, picture) = (format!("{plain}.mtl"), format!("{plain}.png"));
+            let [material, picture] = companions(stem);
             write_obj(mesh, georeference, textured.then_some(&*material), &mut bytes)?;
             if textured {
                 let png = texture::png(texture.ok_or(MeshFileError::NoTexture)?)?;
@@ -178,6 +176,13 @@ pub fn encode(
     let name = format!("{stem}.{}", format.extension());
     files.insert(0, NamedBytes { name, bytes });
     Ok(files)
+}
+
+/// Names of the material and the texture that lie beside a textured OBJ.
+#[must_use]
+pub fn companions(stem: &str) -> [String; 2] {
+    let plain: String = stem.chars().map(|c| if c.is_whitespace() { '_' } else { c }).collect();
+    [format!("{plain}.mtl"), format!("{plain}.png")]
 }
 
 /// Axes and unit in words, for people who open the file.

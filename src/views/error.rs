@@ -10,12 +10,20 @@ use crate::model::ModelError;
 pub enum ViewError {
     /// A latitude and longitude on an image whose place is not known.
     #[error(
-        "{place}: this image's place on Earth is not known as a Web-Mercator grid; give a pixel \
-         (px:COLUMN,ROW) or metres (m:EAST,NORTH,UP)"
+        "{place}: this image's place on Earth is not known; give a pixel (px:COLUMN,ROW) or metres \
+         (m:EAST,NORTH,UP)"
     )]
     NoGeoreference {
         /// The place.
         place: Place,
+    },
+    /// The image's place cannot be used.
+    #[error("{place}: {why}; give a pixel (px:COLUMN,ROW) or metres (m:EAST,NORTH,UP)")]
+    Georeference {
+        /// The place.
+        place: Place,
+        /// What is wrong with the image's place.
+        why: String,
     },
     /// A pixel or a position on Earth that is not in the image.
     #[error(

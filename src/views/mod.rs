@@ -78,7 +78,9 @@ pub struct PathRequest {
     pub every: usize,
     /// Frames a second of the animations.
     pub fps: u32,
-    /// What makes the MP4; `None` where there is no ffmpeg.
+    /// What makes the MP4; `None` where there is no ffmpeg. Not part of a plan, which is the same on every
+    /// machine.
+    #[serde(skip)]
     pub video: Option<VideoEncoder>,
 }
 

@@ -125,10 +125,14 @@ impl Surroundings<'_> {
         let [width, height] = self.footprint.size_px;
         let crop = match place {
             Place::Pixel([x, y]) => self.footprint.crop_of_pixel(PixelPoint { x, y }),
-            Place::Geographic(at) => match self.footprint.crop_of_lonlat(at) {
-                Some(crop) => crop,
-                None => return Err(ViewError::NoGeoreference { place }),
-            },
+            Place::Geographic(at) => {
+                let because = |error: String| ViewError::Georeference { place, why: error };
+                let on_earth = self.footprint.georeference().map_err(|e| because(e.to_string()))?;
+                let Some(on_earth) = on_earth else {
+                    return Err(ViewError::NoGeoreference { place });
+                };
+                on_earth.crop_of_lonlat(at).map_err(|e| because(e.to_string()))?
+            }
             Place::Metres([east, north, _]) => {
                 let [x, y, _] = self.world.to_cube([east, north, 0.0]);
                 [-y / self.world.scale(), x / self.world.scale()]

@@ -79,12 +79,14 @@ impl ViewRequests {
                 "--trajectory",
                 "colours differ from the frames' by the palette",
             ));
-            let video = path.video.as_ref();
-            let form = video.map_or("MP4".to_owned(), |video| format!("MP4, {}", video.codec));
-            let reason =
-                if video.is_some() { "ffmpeg is installed" } else { "ffmpeg is not installed" };
-            let cost = "all frames once through ffmpeg".to_owned();
-            steps.push(step("video", video.is_some(), &form, cost, "--trajectory", reason));
+            steps.push(step(
+                "video",
+                true,
+                "MP4, where ffmpeg is installed",
+                "all frames once through ffmpeg".to_owned(),
+                "--trajectory",
+                "left out, and said, where ffmpeg is not installed",
+            ));
         } else {
             steps.push(view("trajectory", false, "frames", "rays".to_owned(), "--trajectory"));
         }

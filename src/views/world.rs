@@ -3,6 +3,7 @@
 use super::ViewError;
 use crate::footprint::Footprint;
 use crate::model::Scene;
+use crate::model::render::exact_scale;
 use crate::model::render::frames::{Matrix, Vector};
 use crate::model::render::{Angles, Camera, Intrinsics, Pose, RenderOptions, SampleCounts, Wanted};
 
@@ -29,9 +30,7 @@ impl World {
     /// Of a scene whose crop has this footprint.
     #[must_use]
     pub fn new(scene: &Scene, footprint: &Footprint) -> Self {
-        // The decimal number that the configuration states: 0.8, not 0.800000012.
-        let scale = scene.parts().inputs.scale;
-        let scale = scale.to_string().parse().unwrap_or(f64::from(scale));
+        let scale = exact_scale(scene.parts().inputs.scale);
         let [across, down] = footprint.metres_per_unit(scale);
         Self { scale, metres_per_unit: [across, down, scene.parts().metres_per_unit] }
     }

@@ -3,6 +3,29 @@
 //! The axes are those of [`DensityGrid`]: x to the east, y, z up, and z is fastest. What stands along an
 //! axis is said by [`Axes`]; a Zarr volume carries them with it, an npy file cannot and gets a file of
 //! coordinates beside it. See `docs/volume.md`.
+//!
+//! ```
+//! use sat3d::model::Scene;
+//! use sat3d::model::field::closed_form::BoxCity;
+//! use sat3d::model::render::Lattice;
+//! use sat3d::model::scene::SceneParts;
+//! use sat3d::volume::{Axes, Frame, VolumeDescription, ZarrVolume, save_npy};
+//!
+//! let (inputs, head) = BoxCity { texels: 64, ..BoxCity::example() }.inputs();
+//! let scene = Scene::new(SceneParts { inputs, head, sky: None, metres_per_unit: 32.24 })?;
+//! let grid = scene.density_grid(Lattice::pixels(32, 0.8));
+//! let axes = Axes::local(&grid.lattice, [40.3, 40.3, 32.24]);
+//! let folder = tempfile::tempdir()?;
+//!
+//! save_npy(&folder.path().join("city.npy"), &grid, &axes)?;
+//!
+//! let frame = Frame::Local { origin: None };
+//! let description = VolumeDescription::new(axes, frame, [40.3, 40.3, 32.24]);
+//! let mut volume = ZarrVolume::create(&folder.path().join("city.zarr"), description)?;
+//! volume.write_region([0; 3], grid.shape(), &grid.values)?;
+//! volume.finish()?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod chunk;
 mod metadata;

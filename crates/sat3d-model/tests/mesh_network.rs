@@ -51,7 +51,7 @@ fn check(name: &str, scene: &Scene) {
     let below = |v: &[f64; 3]| v[2] <= 1.0;
     let points = checked.vertices.iter().filter(|v| below(v)).count();
     let open = checked.triangles.iter().copied();
-    checked.triangles = open.filter(|t| checked.corners(*t).iter().all(|v| below(v))).collect();
+    checked.triangles = open.filter(|t| checked.corners(*t).iter().all(&below)).collect();
     let [count, faces, area, volume, ..] = golden.f64("counts_area_volume_bbox")[..] else {
         panic!("counts")
     };

@@ -11,6 +11,15 @@ const TRUTHS: [&str; 5] = ["npz", "tif", "tiff", "vrt", "npy"];
 /// What the name of a ground truth has behind the name of its image.
 const SUFFIX: &str = "_dsm";
 
+/// What names of arrays that lie beside a prediction have behind the name of its image.
+const BESIDE: [&str; 5] = [
+    "_satellite_depth",
+    "_panorama_depth",
+    "_perspective_depth",
+    "_density",
+    "_density_coordinates",
+];
+
 /// The files of one image, in every set of predictions and in the ground truth.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Pair {
@@ -45,7 +54,15 @@ pub fn pair(predictions: &[PathBuf], truth: &Path) -> Result<Vec<Pair>, InputErr
         pairs.entry(name.clone()).or_insert_with(|| empty(&name)).truth = Some(file);
     }
     for (set, folder) in predictions.iter().enumerate() {
-        for (name, file) in list(folder, &PREDICTIONS)? {
+        let listed = list(folder, &PREDICTIONS)?;
+        // What `sat3d infer` writes beside an image's prediction is none.
+        let beside = |name: &str| {
+            BESIDE
+                .iter()
+                .any(|end| name.strip_suffix(end).is_some_and(|stem| listed.contains_key(stem)))
+        };
+        for (name, file) in listed.iter().filter(|(name, _)| !beside(name)) {
+            let (name, file) = (name.clone(), file.clone());
             let pair = pairs.entry(name.clone()).or_insert_with(|| empty(&name));
             pair.predictions[set] = Some(file);
         }
@@ -102,6 +119,16 @@ mod tests {
             std::fs::write(folder.path().join(file), b"x").unwrap();
         }
         folder
+    }
+
+    #[test]
+    fn what_infer_writes_beside_a_prediction_is_no_prediction() {
+        let truth = folder(&["a_dsm.npz"]);
+        let files = ["a.npz", "a_panorama_depth.npz", "a_density.npy", "a_density_coordinates.npz"];
+        let predictions = folder(&[&files[..], &["b_density.npy"]].concat());
+        let pairs = pair(&[predictions.path().to_owned()], truth.path()).unwrap();
+        let names: Vec<&str> = pairs.iter().map(|pair| pair.name.as_str()).collect();
+        assert_eq!(names, ["a", "b_density"], "what belongs to no prediction is listed");
     }
 
     fn ending(path: Option<&PathBuf>) -> Option<String> {

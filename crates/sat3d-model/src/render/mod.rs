@@ -17,7 +17,7 @@ pub use camera::{Camera, Intrinsics, Pose, Ray};
 pub use frames::Angles;
 pub use lattice::{Border, DensityGrid, Lattice, ReferenceGrid, density_grid, reference_grid};
 pub use sky::{SkyMap, SkySeam};
-pub(crate) use view::exact_scale;
+pub use view::exact_scale;
 pub use view::{Dsm, View, Wanted, dsm, render};
 #[doc(hidden)]
 pub use view::{Trace, trace};
@@ -26,6 +26,13 @@ use serde::{Deserialize, Serialize};
 
 /// Opacity under which a ray counts as not having hit anything.
 pub const LEAST_OPACITY: f64 = 0.05;
+
+/// Error of the released quadrature in a DSM, cube units: rms of normalised depth against the exact integral of
+/// the same field, the worst of four closed-form cities at 48 + 48 samples. Measured, not proven
+/// (`tests/render_city.rs` holds it).
+pub const RELEASED_RMS: f64 = 5.8e-4;
+/// The same of [`Sampling::Stable`].
+pub const STABLE_RMS: f64 = 6.6e-5;
 
 /// How a ray is sampled and integrated.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

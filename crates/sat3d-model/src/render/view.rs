@@ -123,7 +123,12 @@ pub fn render(
 
 /// The decimal number that was meant by an `f32`: 0.8, not 0.800000012, as the network's configuration
 /// has it in double precision.
-pub(crate) fn exact_scale(scale: f32) -> f64 {
+///
+/// ```
+/// assert_eq!(sat3d_model::render::exact_scale(0.8), 0.8);
+/// ```
+#[must_use]
+pub fn exact_scale(scale: f32) -> f64 {
     scale.to_string().parse().unwrap_or(f64::from(scale))
 }
 

@@ -22,7 +22,13 @@
 //!
 //! let grid = scene.density_grid(Lattice::pixels(64, 0.8));
 //! assert_eq!(grid.shape(), [64, 64, 80]);
-//! # Ok::<(), sat3d_model::scene::SceneError>(())
+//!
+//! // One file holds all of it: another program, or another day, renders the same.
+//! let path = std::env::temp_dir().join(format!("city-{}.scene.safetensors", std::process::id()));
+//! scene.save(&path)?;
+//! assert_eq!(Scene::load(&path)?.dsm(64, &RenderOptions::stable()).height, dsm.height);
+//! std::fs::remove_file(&path)?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
 mod file;
