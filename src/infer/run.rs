@@ -195,7 +195,7 @@ fn find_weights(
         Ok(found) => Ok(Some(found)),
         Err(weights::WeightsError::None { .. }) => {
             warnings.push(
-                "no weights were found: scenes without a sky have no street views, and pictures are those of the rays, half as wide and high (--weights)".into(),
+                "no weights were found: scenes without a sky have no street views, and pictures are not sharpened, panoramas 256 x 64 (--weights)".into(),
             );
             Ok(None)
         }
