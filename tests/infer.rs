@@ -519,6 +519,12 @@ fn a_saved_scene_renders_the_same_without_the_network() {
     let first = fs::read(place.path("out").join(format!("{stem}.npz"))).unwrap();
     assert!(again("again", &[]) == first);
     assert!(again("stable", &["--sampling", "stable"]) != first);
+    run(&mut place.infer("Seattle", "few", &["--scene", "--no-dsm", "--samples", "16,16"]), 0);
+    let mut command = sat3d();
+    command.args(["-q", "infer", "--dsm-size", "8", "--out"]).arg(place.path("more"));
+    run(command.arg(place.path("few").join(format!("{stem}.scene.safetensors"))), 0);
+    let flags = row(&place.path("more"), &stem)["flags"].clone();
+    assert!(flags.contains("--samples 16,16"), "{flags}");
     let row = row(&place.path("again"), &stem);
     assert_eq!((row["ground_from"].as_str(), row["width_px"].as_str()), ("place", "640"));
     // A folder of scenes is an input too, with another scale.

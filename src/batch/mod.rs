@@ -4,7 +4,7 @@
 //! error), and the exit code says which happened.
 //!
 //! A subcommand brings its [`Record`] and a function from an item to a [`Product`]; [`Batch::run`] does
-//! the rest: threads, whole files, a [`Journal`] from which a second run continues. [`join`] makes one
+//! the rest: threads, whole files, a [`Journal`] from which a second run continues. [`join()`] makes one
 //! batch of its shards.
 
 mod atomic;

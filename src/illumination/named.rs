@@ -29,7 +29,7 @@ pub(super) fn histogram(name: &str) -> Option<Vec<f32>> {
 }
 
 /// Counts of a line as shares of their sum: the arithmetic of
-/// [`sky_histogram`](crate::model::illumination::sky_histogram).
+/// [`sky_histogram`].
 fn shares(line: &str) -> Vec<f32> {
     let counts: Vec<u32> = line.split(',').filter_map(|count| count.parse().ok()).collect();
     let total = counts.iter().sum::<u32>().max(1);

@@ -2,7 +2,7 @@
 
 use super::list::{Entry, Kind};
 use super::options::InferOptions;
-use super::outputs::{Heights, NOTE_FOOTPRINT, NOTE_LIGHT, NOTE_WEIGHTS, NamedBytes};
+use super::outputs::{Heights, NOTE_FOOTPRINT, NOTE_LIGHT, NOTE_SAMPLES, NOTE_WEIGHTS, NamedBytes};
 use super::record::{GroundFrom, Record};
 use super::renders::Subject;
 use super::{GROUND_TOLERANCE, Identity};
@@ -208,6 +208,15 @@ impl Workshop<'_> {
                 "the scene was made with other weights than those that sharpen or light its views"
                     .into(),
             );
+        }
+        let samples = self.options.render.samples;
+        let taken = format!("{},{}", samples.coarse(), samples.fine());
+        if let Some(noted) = notes.get(NOTE_SAMPLES).filter(|noted| **noted != taken)
+            && self.options.samples.is_none()
+        {
+            record.flags.push(format!(
+                "rendered with {taken} samples a ray, and first with {noted} (--samples {noted})"
+            ));
         }
         let noted = notes.get(NOTE_FOOTPRINT);
         let noted: Option<Footprint> = noted.and_then(|json| serde_json::from_str(json).ok());

@@ -20,6 +20,9 @@ pub const NOTE_WEIGHTS: &str = "sat3d.weights_sampled_sha256";
 /// Entry of a scene file's metadata with the name of the light that its sky is of.
 pub const NOTE_LIGHT: &str = "sat3d.light";
 
+/// Entry of a scene file's metadata with the numbers of samples that it was rendered with.
+pub const NOTE_SAMPLES: &str = "sat3d.samples";
+
 /// A file to be written: its path in the output folder, and its content.
 pub type NamedBytes = (String, Vec<u8>);
 
@@ -119,6 +122,8 @@ impl Workshop<'_> {
         if let Some(identity) = self.identity {
             notes.insert(NOTE_WEIGHTS.to_owned(), identity.sampled_sha256.clone());
         }
+        let samples = self.options.render.samples;
+        notes.insert(NOTE_SAMPLES.to_owned(), format!("{},{}", samples.coarse(), samples.fine()));
         if let Some(light) = light.filter(|_| scene.parts().sky.is_some()) {
             notes.insert(NOTE_LIGHT.to_owned(), light.to_owned());
         }
