@@ -7,7 +7,7 @@
 
 mod common;
 
-use common::{npz, run, sat3d, stderr, stdout};
+use common::{assert_same, contents, npz, run, sat3d, stderr, stdout};
 use sat3d::grid::GeoTransform;
 use sat3d::raster::geotiff::{GeoTiffSpec, GeoTiffWriter};
 use sat3d::units::US_SURVEY_FOOT_M;
@@ -122,30 +122,6 @@ impl Area {
             .arg(self.path(out))
             .args(extra);
         command
-    }
-}
-
-/// All files of a folder but run.json and the state folder, with their bytes.
-fn contents(folder: &Path) -> Vec<(String, Vec<u8>)> {
-    let mut files: Vec<_> = fs::read_dir(folder)
-        .unwrap()
-        .map(|item| item.unwrap())
-        .filter(|item| item.path().is_file() && item.file_name() != "run.json")
-        .map(|item| {
-            (item.file_name().to_string_lossy().into_owned(), fs::read(item.path()).unwrap())
-        })
-        .collect();
-    files.sort();
-    files
-}
-
-fn assert_same(a: &Path, b: &Path) {
-    let (a, b) = (contents(a), contents(b));
-    let names =
-        |files: &[(String, Vec<u8>)]| files.iter().map(|(n, _)| n.clone()).collect::<Vec<_>>();
-    assert_eq!(names(&a), names(&b));
-    for ((name, x), (_, y)) in a.iter().zip(&b) {
-        assert!(x == y, "{name} differs");
     }
 }
 

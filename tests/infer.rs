@@ -3,10 +3,11 @@
 
 mod common;
 
-use common::{has_tool, mercator_box, npz, run, sat3d, stderr, stdout};
+use common::{
+    assert_same, has_tool, mercator_box, npz, row, run, sat3d, stderr, stdout, tiny_weights,
+};
 use sat3d::lidar::SingleRaster;
 use sat3d::model::render::{RenderOptions, STABLE_RMS};
-use sat3d::model::weights::rule::{tiny_overrides, write_checkpoint};
 use sat3d::model::{Device, Image8, Model};
 use sat3d::raster::OpenOptions;
 use sat3d::raster::npz::{self, Compression, NpyArray, NpyData};
@@ -19,17 +20,9 @@ use std::sync::OnceLock;
 const LAT: f64 = 47.6;
 const LON: f64 = -122.33;
 
-/// A checkpoint of the small network of the parity tests, written once.
 fn weights() -> &'static Path {
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
-    FOLDER.get_or_init(|| {
-        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("infer-weights");
-        let config = Path::new(env!("CARGO_MANIFEST_DIR"))
-            .join("crates/sat3d-model/fixtures/tiny/model/config.json");
-        let config = fs::read_to_string(config).unwrap();
-        write_checkpoint(&folder, &config, tiny_overrides()).unwrap();
-        folder
-    })
+    FOLDER.get_or_init(|| tiny_weights("infer-weights"))
 }
 
 /// Pixels without any symmetry, another picture for each seed.
@@ -81,38 +74,6 @@ impl Place {
             .args(extra);
         command
     }
-}
-
-fn contents(folder: &Path) -> Vec<(String, Vec<u8>)> {
-    let mut files: Vec<_> = fs::read_dir(folder)
-        .unwrap()
-        .map(|item| item.unwrap())
-        .filter(|item| item.path().is_file() && item.file_name() != "run.json")
-        .map(|item| {
-            (item.file_name().to_string_lossy().into_owned(), fs::read(item.path()).unwrap())
-        })
-        .collect();
-    files.sort();
-    files
-}
-
-fn assert_same(a: &Path, b: &Path) {
-    let (a, b) = (contents(a), contents(b));
-    let names =
-        |files: &[(String, Vec<u8>)]| files.iter().map(|(n, _)| n.clone()).collect::<Vec<_>>();
-    assert_eq!(names(&a), names(&b));
-    for ((name, x), (_, y)) in a.iter().zip(&b) {
-        assert!(x == y, "{name} differs");
-    }
-}
-
-/// One row of a manifest by the name of its image.
-fn row(out: &Path, name: &str) -> std::collections::HashMap<String, String> {
-    let mut reader = csv::Reader::from_path(out.join("manifest.csv")).unwrap();
-    let titles = reader.headers().unwrap().clone();
-    let rows: Vec<csv::StringRecord> = reader.records().map(Result::unwrap).collect();
-    let row = rows.iter().find(|row| &row[0] == name).unwrap();
-    titles.iter().zip(row.iter()).map(|(k, v)| (k.to_owned(), v.to_owned())).collect()
 }
 
 fn json(path: &Path) -> Value {

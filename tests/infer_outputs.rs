@@ -3,9 +3,9 @@
 
 mod common;
 
-use common::{npz, run, sat3d, stderr, stdout};
-use sat3d::model::weights::rule::{tiny_overrides, write_checkpoint};
+use common::{npz, run, sat3d, stderr, stdout, tiny_weights};
 use serde_json::Value;
+use std::collections::HashMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -15,13 +15,7 @@ const STEM: &str = "satellite_47.6_-122.33";
 
 fn weights() -> &'static Path {
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
-    FOLDER.get_or_init(|| {
-        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("infer-outputs-weights");
-        let config = Path::new(env!("CARGO_MANIFEST_DIR"))
-            .join("crates/sat3d-model/fixtures/tiny/model/config.json");
-        write_checkpoint(&folder, &fs::read_to_string(config).unwrap(), tiny_overrides()).unwrap();
-        folder
-    })
+    FOLDER.get_or_init(|| tiny_weights("infer-outputs-weights"))
 }
 
 /// A folder with one image at a place, and the runs on it.
@@ -81,11 +75,8 @@ fn gltf(bytes: &[u8]) -> Value {
 }
 
 /// The one row of a manifest.
-fn row(out: &Path) -> std::collections::HashMap<String, String> {
-    let mut reader = csv::Reader::from_path(out.join("manifest.csv")).unwrap();
-    let titles = reader.headers().unwrap().clone();
-    let row = reader.records().next().unwrap().unwrap();
-    titles.iter().zip(row.iter()).map(|(k, v)| (k.to_owned(), v.to_owned())).collect()
+fn row(out: &Path) -> HashMap<String, String> {
+    common::row(out, STEM)
 }
 
 #[test]

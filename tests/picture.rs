@@ -5,6 +5,9 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
+mod common;
+
+use common::{python, run_python, skipped};
 use proptest::prelude::*;
 use sat3d::footprint::{Footprint, FootprintError, Place};
 use sat3d::grid::{GeoTransform, ImageGrid, LonLat};
@@ -14,31 +17,7 @@ use sat3d::picture::{
     Access, BicubicRows, Picture, PictureError, PictureOptions, ResampledPicture, Window, open,
     open_with,
 };
-use std::io::Write as _;
 use std::path::Path;
-use std::process::Command;
-
-fn skipped(test: &str, why: &str) {
-    // The test harness hides what `eprintln!` says; this reaches the terminal.
-    let _ = writeln!(std::io::stderr(), "SKIPPED {test}: {why}");
-}
-
-/// An interpreter that can import `modules`.
-fn python(test: &str, modules: &str) -> Option<Command> {
-    let interpreter = std::env::var_os("SAT3D_TEST_PYTHON").unwrap_or_else(|| "python3".into());
-    let has = Command::new(&interpreter).args(["-c", &format!("import {modules}")]).output();
-    if has.is_ok_and(|output| output.status.success()) {
-        return Some(Command::new(interpreter));
-    }
-    skipped(test, &format!("no python with {modules} (set SAT3D_TEST_PYTHON)"));
-    None
-}
-
-fn run(mut python: Command, script: &str, arguments: &[&Path]) -> String {
-    let output = python.args(["-c", script]).args(arguments).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8(output.stdout).unwrap()
-}
 
 /// Rows and windows of a picture are the same as the whole, in any order.
 fn check_parts(picture: &mut Picture, whole: &[u8]) {
@@ -74,7 +53,7 @@ fn pictures_are_what_pillow_and_gdal_read() {
     let Some(python) = python(test, "numpy, PIL, cv2, rasterio") else { return };
     let folder = tempfile::tempdir().unwrap();
     let script = include_str!("picture_support/pictures.py");
-    let listing = run(python, script, &[folder.path()]);
+    let listing = run_python(python, script, &[folder.path()]);
     let mut counts = [0; 3];
     for line in listing.lines() {
         let [name, width, height] = line.split(' ').collect::<Vec<_>>()[..] else {
@@ -141,7 +120,7 @@ for path in sorted(Path(sys.argv[1]).iterdir()):
         (Path(sys.argv[2]) / (path.name + '.rgb')).write_bytes(rgb.tobytes())
         print(path.name)
 ";
-    let listing = run(python, script, &[&images, folder.path()]);
+    let listing = run_python(python, script, &[&images, folder.path()]);
     assert!(listing.lines().count() >= 8, "{listing}");
     for name in listing.lines() {
         let mut picture = open(&images.join(name)).unwrap();
@@ -294,7 +273,7 @@ for name, options in dict(b={}, p=dict(progressive=True), r=dict(restart_marker_
     Image.fromarray(data).save(f'{sys.argv[1]}/{name}.jpg', **options)
 Image.fromarray(data).convert('CMYK').save(f'{sys.argv[1]}/cmyk.jpg')
 ";
-    run(python, script, &[folder.path()]);
+    run_python(python, script, &[folder.path()]);
     assert!(unreadable(&folder.path().join("cmyk.jpg")).contains("4 colour components"));
     let mut state = 1_u32;
     let mut random = |limit: usize| {
@@ -343,7 +322,7 @@ write('bits', np.ones((1, 20, 30), np.uint8), nbits=4)
 write('cut', np.random.default_rng(1).integers(0, 255, (3, 200, 300), dtype=np.uint8), compress='deflate')
 write('strip', np.ones((3, 3000, 300), np.uint8), compress='deflate', blockysize=3000)
 ";
-    run(python, script, &[folder.path()]);
+    run_python(python, script, &[folder.path()]);
     let at = |name: &str| folder.path().join(format!("{name}.tif"));
     let error = unreadable(&at("reflectance"));
     assert!(

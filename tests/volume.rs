@@ -5,6 +5,9 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
+mod common;
+
+use common::{python, run_python};
 use proptest::prelude::*;
 use sat3d::crs::CrsSpec;
 use sat3d::footprint::Footprint;
@@ -15,31 +18,7 @@ use sat3d::volume::{
     Axes, Frame, VolumeDescription, VolumeError, ZarrVolume, coordinates_npz, npy, save_npy,
 };
 use std::collections::BTreeMap;
-use std::io::Write as _;
 use std::path::Path;
-use std::process::Command;
-
-fn skipped(test: &str, why: &str) {
-    // The test harness hides what `eprintln!` says; this reaches the terminal.
-    let _ = writeln!(std::io::stderr(), "SKIPPED {test}: {why}");
-}
-
-/// An interpreter that can import `modules`.
-fn python(test: &str, modules: &str) -> Option<Command> {
-    let interpreter = std::env::var_os("SAT3D_TEST_PYTHON").unwrap_or_else(|| "python3".into());
-    let has = Command::new(&interpreter).args(["-c", &format!("import {modules}")]).output();
-    if has.is_ok_and(|output| output.status.success()) {
-        return Some(Command::new(interpreter));
-    }
-    skipped(test, &format!("no python with {modules} (set SAT3D_TEST_PYTHON)"));
-    None
-}
-
-fn run(mut python: Command, script: &str, arguments: &[&Path]) -> String {
-    let output = python.args(["-c", script]).args(arguments).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8(output.stdout).unwrap()
-}
 
 /// The value of a point, different for each.
 fn value([x, y, z]: [usize; 3]) -> f32 {
@@ -145,7 +124,7 @@ assert data.attrs['origin_latitude'] == 47.6
 assert data.density.sel(x=0.125, method='nearest').max('z').shape == (13,)
 "
     );
-    run(python, &script, &[&path, &folder.path().join("back")]);
+    run_python(python, &script, &[&path, &folder.path().join("back")]);
     assert!(!files(&path).contains_key("density/c/2/2/2/0"));
     let names: Vec<_> = files(&path).into_keys().collect();
     assert!(names.contains(&"density/c/0/0/0".to_owned()), "{names:?}");
@@ -184,7 +163,7 @@ x, y, z = np.mgrid[0:16, 0:16, 0:20]
 assert np.array_equal(values, (x * 1e4 + y * 1e2 + z + 0.25).astype(np.float32))
 "
     );
-    run(python, &script, &[&path]);
+    run_python(python, &script, &[&path]);
 }
 
 #[test]
@@ -224,7 +203,7 @@ assert np.array_equal(grid, (x * 1e4 + y * 1e2 + z + 0.25).astype(np.float32))
 at = np.load(sys.argv[2])
 assert at['x'].tolist() == [-20, 20] and at['z'].tolist() == [10, 12.5, 15, 17.5] and at['y'].shape == (3,)
 ";
-    run(python, script, &[&path, &beside]);
+    run_python(python, script, &[&path, &beside]);
 }
 
 proptest! {

@@ -9,6 +9,7 @@ mod panorama;
 pub use named::{DEFAULT, NAMES};
 
 use crate::model::illumination::HISTOGRAM_LEN;
+use crate::model::render::padded_width;
 use crate::model::scene::SkyParts;
 use crate::model::{Grid, ModelError, Network};
 use crate::plan::hex;
@@ -257,9 +258,7 @@ impl Illumination {
 pub fn sky(network: &dyn Network, illumination: &Illumination) -> Result<SkyParts, ModelError> {
     let style = network.style(&illumination.histogram)?;
     let whole = network.sky(&style)?;
-    // The decoder's width w and the lookup's w + floor(0.8 w) (MODEL_SPEC 9.1).
-    let padded = |width: usize| width + (width as f64 * 0.8) as usize;
-    let Some(width) = (1..=whole.width).find(|width| padded(*width) == whole.width) else {
+    let Some(width) = (1..=whole.width).find(|width| padded_width(*width) == whole.width) else {
         return Err(ModelError::Shape {
             what: "sky map",
             expected: "w + 0.8 w columns".to_owned(),

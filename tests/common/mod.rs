@@ -2,6 +2,9 @@
 #![allow(dead_code, reason = "each test file uses its own part")]
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
+use sat3d::model::weights::rule::{tiny_overrides, write_checkpoint};
+use std::collections::HashMap;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -66,6 +69,76 @@ pub fn npz(path: &Path, key: &str) -> Vec<f32> {
     let arrays = sat3d::raster::npz::read(path).unwrap();
     let (_, array) = arrays.into_iter().find(|(name, _)| name == key).unwrap();
     array.to_f64().into_iter().map(|v| v as f32).collect()
+}
+
+/// All files of a folder but run.json and the state folder, with their bytes.
+pub fn contents(folder: &Path) -> Vec<(String, Vec<u8>)> {
+    let mut files: Vec<_> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|item| item.unwrap())
+        .filter(|item| item.path().is_file() && item.file_name() != "run.json")
+        .map(|item| {
+            (item.file_name().to_string_lossy().into_owned(), std::fs::read(item.path()).unwrap())
+        })
+        .collect();
+    files.sort();
+    files
+}
+
+/// Two folders hold the same files with the same bytes, but for run.json.
+#[track_caller]
+pub fn assert_same(a: &Path, b: &Path) {
+    let (a, b) = (contents(a), contents(b));
+    let names =
+        |files: &[(String, Vec<u8>)]| files.iter().map(|(n, _)| n.clone()).collect::<Vec<_>>();
+    assert_eq!(names(&a), names(&b));
+    for ((name, x), (_, y)) in a.iter().zip(&b) {
+        assert!(x == y, "{name} differs");
+    }
+}
+
+/// One row of a manifest by the name of its image.
+pub fn row(out: &Path, name: &str) -> HashMap<String, String> {
+    let mut reader = csv::Reader::from_path(out.join("manifest.csv")).unwrap();
+    let titles = reader.headers().unwrap().clone();
+    let rows: Vec<csv::StringRecord> = reader.records().map(Result::unwrap).collect();
+    let row = rows.iter().find(|row| &row[0] == name).unwrap();
+    titles.iter().zip(row.iter()).map(|(k, v)| (k.to_owned(), v.to_owned())).collect()
+}
+
+/// A checkpoint of the small network of the parity tests, weights made by rule; `name` keeps test files
+/// that run side by side apart.
+pub fn tiny_weights(name: &str) -> PathBuf {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let config = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("crates/sat3d-model/fixtures/tiny/model/config.json");
+    write_checkpoint(&folder, &std::fs::read_to_string(config).unwrap(), tiny_overrides()).unwrap();
+    folder
+}
+
+/// Says that a test was skipped.
+pub fn skipped(test: &str, why: &str) {
+    // The test harness hides what `eprintln!` says; this reaches the terminal.
+    let _ = writeln!(std::io::stderr(), "SKIPPED {test}: {why}");
+}
+
+/// An interpreter that can import `modules`.
+pub fn python(test: &str, modules: &str) -> Option<Command> {
+    let interpreter = std::env::var_os("SAT3D_TEST_PYTHON").unwrap_or_else(|| "python3".into());
+    let has = Command::new(&interpreter).args(["-c", &format!("import {modules}")]).output();
+    if has.is_ok_and(|output| output.status.success()) {
+        return Some(Command::new(interpreter));
+    }
+    skipped(test, &format!("no python with {modules} (set SAT3D_TEST_PYTHON)"));
+    None
+}
+
+/// Runs a script; what it prints.
+#[track_caller]
+pub fn run_python(mut python: Command, script: &str, arguments: &[&Path]) -> String {
+    let output = python.args(["-c", script]).args(arguments).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
 }
 
 /// EPSG:3857 corner coordinates of an image, computed here from the definition and not with the

@@ -5,6 +5,7 @@
 
 use crate::error::ModelError;
 use crate::field::{DensityActivation, Representation};
+use crate::render::padded_width;
 use serde::Serialize;
 use serde_json::Value;
 use std::path::Path;
@@ -295,8 +296,7 @@ impl Config {
     /// Width of the sky map with the empty columns below the horizon (921 in the release).
     #[must_use]
     pub fn sky_width(&self) -> usize {
-        // int(0.8 * width) in whole numbers.
-        self.sky_side() + self.sky_side() * 4 / 5
+        padded_width(self.sky_side())
     }
 
     /// Length of a point's feature vector.

@@ -16,7 +16,7 @@ mod view;
 pub use camera::{Camera, Intrinsics, Pose, Ray};
 pub use frames::Angles;
 pub use lattice::{Border, DensityGrid, Lattice, ReferenceGrid, density_grid, reference_grid};
-pub use sky::{SkyMap, SkySeam};
+pub use sky::{SkyMap, SkySeam, padded_width};
 pub use view::exact_scale;
 pub use view::{Dsm, View, Wanted, dsm, render};
 #[doc(hidden)]

@@ -24,9 +24,17 @@ pub struct SkyMap {
     pixels: Vec<f32>,
 }
 
-/// Columns of the lookup that the sky decoder's map fills: 1 of 1.8.
-fn padded_width(width: usize) -> usize {
-    width + (width as f64 * 0.8) as usize
+/// Columns of a lookup over all zenith angles whose first `width` are the sky decoder's map, which ends at 100 of
+/// 180 degrees (MODEL_SPEC 9.1).
+///
+/// ```
+/// assert_eq!(sat3d_model::render::padded_width(512), 921);
+/// // The reference's int(width * 0.8), in whole numbers.
+/// assert!((0..5000).all(|w| w + w * 4 / 5 == w + (w as f64 * 0.8) as usize));
+/// ```
+#[must_use]
+pub fn padded_width(width: usize) -> usize {
+    width + width * 4 / 5
 }
 
 impl SkyMap {
