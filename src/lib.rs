@@ -22,6 +22,7 @@ pub mod recipe;
 pub mod scene;
 pub mod stac;
 pub mod table;
+pub mod tile;
 pub mod units;
 pub mod views;
 pub mod vigor;

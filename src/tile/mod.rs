@@ -1,0 +1,7 @@
+//! A city from one big picture: windows, averaged densities, one seamless surface.
+
+pub mod city;
+pub mod frame;
+pub mod slabs;
+pub mod surface;
+pub mod tiles3d;
