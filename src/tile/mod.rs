@@ -3,9 +3,13 @@
 pub mod city;
 mod column;
 mod engine;
+#[cfg(test)]
+mod engine_tests;
+mod explain;
 pub mod frame;
 pub mod layout;
 mod network;
+mod options;
 pub mod slabs;
 mod sums;
 pub mod surface;
