@@ -1,12 +1,13 @@
 //! `sat3d dsm-bench build|merge|compare`: ground-truth DSMs from lidar tiles.
 
+use crate::batch_args::BatchArgs;
 use crate::console;
 use anyhow::Context;
 use clap::{Subcommand, ValueEnum};
-use sat3d::batch::{ExitCode, Interrupt, Shard};
+use sat3d::batch::{ExitCode, Interrupt};
 use sat3d::dsm_bench::{
     self, BuildOptions, Coverage, GridKind, ImageSource, Quantisation, RunSummary, TransformChoice,
-    Verify,
+
 };
 use sat3d::lidar::{EdgeRule, Resampling, TransformForm};
 use sat3d::raster::NodataRule;
@@ -116,24 +117,8 @@ struct BuildArgs {
     /// Memory for cached lidar blocks, MiB
     #[arg(long, default_value_t = 256, value_name = "MIB", value_parser = clap::value_parser!(u64).range(1..=1_048_576))]
     memory: u64,
-    /// Worker threads (default: all cores); the output does not depend on it
-    #[arg(long, value_name = "N")]
-    threads: Option<usize>,
-    /// Do part i of n; `dsm-bench merge` joins the parts
-    #[arg(long, value_name = "i/n", default_value = "1/1")]
-    shard: Shard,
-    /// How results of earlier runs are checked: sizes and times, or hashes
-    #[arg(long, value_enum, default_value_t = VerifyArg::Quick)]
-    verify: VerifyArg,
-    /// Replace results that were built with other options
-    #[arg(long)]
-    overwrite: bool,
-    /// Print the plan (each step, its error bound, cost and cause) and stop
-    #[arg(long)]
-    explain: bool,
-    /// Print the summary as JSON
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    batch: BatchArgs,
 }
 
 /// Join the shards of a benchmark into one.
@@ -207,12 +192,6 @@ enum Edge {
 enum CoverageArg {
     BestTile,
     Mosaic,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum VerifyArg {
-    Quick,
-    Hashes,
 }
 
 fn parse_nodata(text: &str) -> Result<NodataRule, String> {
@@ -296,13 +275,10 @@ impl BuildArgs {
         options.stac = self.stac;
         options.memory =
             usize::try_from(self.memory << 20).context("--memory is too large for this machine")?;
-        options.threads = self.threads.unwrap_or(options.threads).max(1);
-        options.shard = self.shard;
-        options.verify = match self.verify {
-            VerifyArg::Quick => Verify::Quick,
-            VerifyArg::Hashes => Verify::Hashes,
-        };
-        options.overwrite = self.overwrite;
+        options.threads = self.batch.threads();
+        options.shard = self.batch.shard;
+        options.verify = self.batch.verify();
+        options.overwrite = self.batch.overwrite;
         options.quiet = console::quiet();
         Ok(options)
     }
@@ -316,8 +292,8 @@ fn build(args: &BuildArgs) -> anyhow::Result<ExitCode> {
     for bad in &prepared.tiles().bad {
         tracing::warn!("tile left out: {}", bad.reason);
     }
-    if args.explain {
-        if args.json {
+    if args.batch.explain {
+        if args.batch.json {
             console::print(&(serde_json::to_string_pretty(&prepared.plan)? + "\n"))?;
         } else {
             console::print(&prepared.plan.explain())?;
@@ -329,7 +305,7 @@ fn build(args: &BuildArgs) -> anyhow::Result<ExitCode> {
     for warning in &summary.warnings {
         tracing::warn!("{warning}");
     }
-    report(&summary, &args.out, args.json)?;
+    report(&summary, &args.out, args.batch.json)?;
     Ok(summary.exit_code())
 }
 

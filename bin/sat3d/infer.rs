@@ -1,10 +1,11 @@
 //! `sat3d infer`: DSMs, meshes and views from satellite images by the network, one image or a city.
 
+use crate::batch_args::{BatchArgs, parse_gsd};
 use crate::console;
 use crate::mesh_args::MeshArgs;
 use crate::view_args::ViewArgs;
 use clap::{Subcommand, ValueEnum};
-use sat3d::batch::{ExitCode, Interrupt, Shard, Verify};
+use sat3d::batch::{ExitCode, Interrupt};
 use sat3d::footprint::VerticalScale;
 use sat3d::infer::{self, InferOptions, Outputs, RunSummary};
 use sat3d::model::Device;
@@ -89,24 +90,8 @@ struct InferArgs {
     /// Ground metres per pixel, over what names and georeferences say
     #[arg(long, value_name = "M[,M]", allow_negative_numbers = true, value_parser = parse_gsd)]
     gsd: Option<[f64; 2]>,
-    /// Threads (default: all cores); the output does not depend on it
-    #[arg(long, value_name = "N")]
-    threads: Option<usize>,
-    /// Do part i of n; `infer merge` joins the parts
-    #[arg(long, value_name = "i/n", default_value = "1/1")]
-    shard: Shard,
-    /// How results of earlier runs are checked: sizes and times, or hashes
-    #[arg(long, value_enum, default_value_t = VerifyArg::Quick)]
-    verify: VerifyArg,
-    /// Replace results that were made with other options
-    #[arg(long)]
-    overwrite: bool,
-    /// Print the plan (each step, its error bound, cost and cause) and stop
-    #[arg(long)]
-    explain: bool,
-    /// Print the summary as JSON
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    batch: BatchArgs,
     #[command(flatten)]
     mesh: MeshArgs,
     #[command(flatten)]
@@ -147,30 +132,11 @@ enum ScaleArg {
     Isotropic,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum VerifyArg {
-    Quick,
-    Hashes,
-}
-
 fn parse_samples(text: &str) -> Result<SampleCounts, String> {
     let form = || format!("`{text}` is not COARSE,FINE, for example 48,48");
     let (coarse, fine) = text.split_once(',').ok_or_else(form)?;
     let number = |text: &str| text.trim().parse::<usize>().map_err(|_| form());
     SampleCounts::new(number(coarse)?, number(fine)?).map_err(|error| error.to_string())
-}
-
-fn parse_gsd(text: &str) -> Result<[f64; 2], String> {
-    let number = |part: &str| {
-        let value = part.trim().parse::<f64>().ok().filter(|gsd| gsd.is_finite() && *gsd > 0.0);
-        value.ok_or_else(|| {
-            format!("`{text}` is not metres per pixel: one positive number, or two (across,down)")
-        })
-    };
-    match text.split_once(',') {
-        Some((across, down)) => Ok([number(across)?, number(down)?]),
-        None => number(text).map(|gsd| [gsd, gsd]),
-    }
 }
 
 /// Runs `sat3d infer`.
@@ -188,11 +154,11 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     for warning in &prepared.warnings {
         tracing::warn!("{warning}");
     }
-    if args.explain {
-        return explain(&prepared, args.json);
+    if args.batch.explain {
+        return explain(&prepared, args.batch.json);
     }
     let summary = prepared.run(&Interrupt::on_signals())?;
-    report(&summary, &args.out, !args.no_dsm, args.json)?;
+    report(&summary, &args.out, !args.no_dsm, args.batch.json)?;
     Ok(summary.exit_code())
 }
 
@@ -230,13 +196,10 @@ impl InferArgs {
             ScaleArg::Isotropic => VerticalScale::Isotropic,
         };
         options.gsd_m = self.gsd;
-        options.threads = self.threads.unwrap_or(options.threads).max(1);
-        options.shard = self.shard;
-        options.verify = match self.verify {
-            VerifyArg::Quick => Verify::Quick,
-            VerifyArg::Hashes => Verify::Hashes,
-        };
-        options.overwrite = self.overwrite;
+        options.threads = self.batch.threads();
+        options.shard = self.batch.shard;
+        options.verify = self.batch.verify();
+        options.overwrite = self.batch.overwrite;
         options.quiet = console::quiet();
         Ok(options)
     }

@@ -1,5 +1,6 @@
 //! The command line: arguments -> plan -> run -> print, one file per subcommand.
 
+mod batch_args;
 mod completions;
 mod console;
 mod dsm_bench;
@@ -9,6 +10,7 @@ mod mesh_args;
 mod model;
 mod run;
 mod simulate;
+mod tile;
 mod view_args;
 mod vigor;
 
@@ -38,6 +40,7 @@ pub(crate) enum Command {
     Eval(Box<eval::Args>),
     Model(model::Args),
     Infer(Box<infer::Args>),
+    Tile(Box<tile::Args>),
     Run(run::Args),
     Simulate(simulate::Args),
     Completions(completions::Args),
@@ -55,6 +58,7 @@ pub(crate) fn dispatch(command: &Command) -> anyhow::Result<ExitCode> {
         Command::Eval(args) => eval::run(args),
         Command::Model(args) => model::run(args),
         Command::Infer(args) => infer::run(args),
+        Command::Tile(args) => tile::run(args),
         Command::Run(args) => run::run(args),
         Command::Simulate(args) => simulate::run(args),
         Command::Completions(args) => completions::run(args),
