@@ -2,6 +2,8 @@
 
 pub mod city;
 pub mod frame;
+pub mod ground;
 pub mod slabs;
+pub mod spool;
 pub mod surface;
 pub mod tiles3d;
