@@ -7,7 +7,6 @@ use clap::{Subcommand, ValueEnum};
 use sat3d::batch::{ExitCode, Interrupt};
 use sat3d::dsm_bench::{
     self, BuildOptions, Coverage, GridKind, ImageSource, Quantisation, RunSummary, TransformChoice,
-
 };
 use sat3d::lidar::{EdgeRule, Resampling, TransformForm};
 use sat3d::raster::NodataRule;

@@ -6,6 +6,7 @@
 
 mod georeference;
 mod jpeg;
+mod mask;
 mod png_rows;
 mod resample;
 mod source;
@@ -77,7 +78,7 @@ pub enum PictureError {
         /// What is wrong and what to do.
         reason: String,
     },
-    /// Pixels are damaged or missing.
+    /// Pixels are damaged or missing. Of a raster in strips or tiles, the row is the first of the block.
     #[error("{}: row {row} of {height} cannot be read: {reason}", path.display())]
     Row {
         /// The file.
@@ -334,8 +335,8 @@ impl Picture {
     /// the same.
     ///
     /// # Errors
-    /// [`PictureError::Row`] or [`PictureError::Raster`] for damaged pixels, [`PictureError::Window`] for rows that
-    /// there are not, or an `out` of another size.
+    /// [`PictureError::Row`] for damaged pixels, [`PictureError::Window`] for rows that there are not, or an `out` of
+    /// another size.
     pub fn read_rows(&mut self, rows: Range<u32>, out: &mut [u8]) -> Result<(), PictureError> {
         let window = Window {
             x: 0,
@@ -352,6 +353,16 @@ impl Picture {
     /// As [`Picture::read_rows`].
     pub fn read_window(&mut self, window: Window, out: &mut [u8]) -> Result<(), PictureError> {
         self.check(window, out.len())?;
+        self.read_checked(window, out, None)
+    }
+
+    /// Reads a window that lies inside the picture, with its mask where the picture has one and `valid` is given.
+    fn read_checked(
+        &mut self,
+        window: Window,
+        out: &mut [u8],
+        valid: Option<&mut [u8]>,
+    ) -> Result<(), PictureError> {
         if window.width == 0 || window.height == 0 {
             return Ok(());
         }
@@ -362,8 +373,23 @@ impl Picture {
             height: window.height as usize,
         };
         match &mut self.source {
-            Source::Blocks(blocks) => Ok(blocks.read(rectangle, out)?),
-            Source::Rows { .. } => self.read_in_order(window, out),
+            Source::Blocks(blocks) => {
+                blocks.read(rectangle, out, valid).map_err(|error| self.block_error(error))
+            }
+            Source::Rows { .. } => self.read_in_order(window, out, valid),
+        }
+    }
+
+    /// A damaged strip or tile, by the first of its rows.
+    fn block_error(&self, error: RasterError) -> PictureError {
+        match error {
+            RasterError::Block { path, column, row, reason } => PictureError::Row {
+                path,
+                row: row.saturating_mul(self.block()[1]),
+                height: self.size[1],
+                reason: format!("in block ({column}, {row}), {reason}"),
+            },
+            other => other.into(),
         }
     }
 
@@ -388,7 +414,12 @@ impl Picture {
         Ok(())
     }
 
-    fn read_in_order(&mut self, window: Window, out: &mut [u8]) -> Result<(), PictureError> {
+    fn read_in_order(
+        &mut self,
+        window: Window,
+        out: &mut [u8],
+        valid: Option<&mut [u8]>,
+    ) -> Result<(), PictureError> {
         let Source::Rows { rows, next } = &mut self.source else { return Ok(()) };
         if window.y < *next {
             if *next == u32::MAX || !rows.rewind() {
@@ -399,17 +430,23 @@ impl Picture {
         let width = self.size[0] as usize;
         let full = window.width as usize == width;
         let mut spare = if full && *next == window.y { Vec::new() } else { vec![0; width * 3] };
+        let mut spare_valid = vec![0; if valid.is_some() { width } else { 0 }];
+        let mut masks = valid.map(|valid| valid.chunks_exact_mut(window.width as usize));
         let mut read = || {
             while *next < window.y {
-                rows.next_row(&mut spare)?;
+                rows.next_row(&mut spare, None)?;
                 *next += 1;
             }
             for line in out.chunks_exact_mut(window.width as usize * 3) {
+                let mask = masks.as_mut().and_then(Iterator::next);
                 if full {
-                    rows.next_row(line)?;
+                    rows.next_row(line, mask)?;
                 } else {
-                    rows.next_row(&mut spare)?;
+                    rows.next_row(&mut spare, mask.is_some().then_some(&mut spare_valid[..]))?;
                     line.copy_from_slice(&spare[window.x as usize * 3..][..line.len()]);
+                    if let Some(mask) = mask {
+                        mask.copy_from_slice(&spare_valid[window.x as usize..][..mask.len()]);
+                    }
                 }
                 *next += 1;
             }

@@ -67,7 +67,7 @@ impl PngRows {
 }
 
 impl RowSource for PngRows {
-    fn next_row(&mut self, out: &mut [u8]) -> Result<(), String> {
+    fn next_row(&mut self, out: &mut [u8], valid: Option<&mut [u8]>) -> Result<(), String> {
         let row = if self.interlaced {
             if self.whole.is_empty() {
                 let size = self.reader.output_buffer_size().ok_or("is too large")?;
@@ -88,11 +88,19 @@ impl RowSource for PngRows {
         let row = row.ok_or("has no more rows")?;
         self.next_row += 1;
         if self.deep {
-            convert(row.as_chunks::<2>().0, self.samples, |v| round(u16::from_be_bytes(v)), out);
+            let row = row.as_chunks::<2>().0;
+            convert(row, self.samples, |v| round(u16::from_be_bytes(v)), out);
+            mark(row, self.samples, [0; 2], valid);
         } else {
             convert(row, self.samples, |value| value, out);
+            mark(row, self.samples, 0, valid);
         }
         Ok(())
+    }
+
+    fn has_mask(&self) -> bool {
+        // Transparent colours and palettes have become alpha as well.
+        has_alpha(self.samples)
     }
 
     fn rewind(&mut self) -> bool {
@@ -113,6 +121,19 @@ fn convert<T: Copy>(row: &[T], samples: usize, byte: impl Fn(T) -> u8, out: &mut
                 pixel.copy_from_slice(&[byte(red), byte(green), byte(blue)]);
             }
             [] => {}
+        }
+    }
+}
+
+fn has_alpha(samples: usize) -> bool {
+    matches!(samples, 2 | 4)
+}
+
+/// Marks the pixels whose alpha, the last sample, is not zero.
+fn mark<T: PartialEq>(row: &[T], samples: usize, zero: T, valid: Option<&mut [u8]>) {
+    if let Some(valid) = valid.filter(|_| has_alpha(samples)) {
+        for (valid, pixel) in valid.iter_mut().zip(row.chunks_exact(samples)) {
+            *valid = if pixel.last() == Some(&zero) { 0 } else { 255 };
         }
     }
 }

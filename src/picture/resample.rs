@@ -6,9 +6,19 @@ use super::{Picture, PictureError};
 use crate::model::preprocess::{Taps, bicubic_taps, blend_rows, resize_row};
 use rayon::prelude::*;
 
+/// What is made of the pixels under the kernel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    /// Their weighted sum.
+    Colours,
+    /// 255 where all that have a weight are not 0, else 0.
+    Validity,
+}
+
 /// Resizes a picture whose rows are given from the top.
 #[derive(Debug)]
 pub struct BicubicRows {
+    kind: Kind,
     channels: usize,
     source: [usize; 2],
     target: [usize; 2],
@@ -37,6 +47,7 @@ impl BicubicRows {
             (source[axis] != target[axis]).then(|| bicubic_taps(source[axis], target[axis]))
         };
         Self {
+            kind: Kind::Colours,
             channels,
             source,
             target,
@@ -47,6 +58,17 @@ impl BicubicRows {
             given: 0,
             made: 0,
         }
+    }
+
+    /// Masks of one byte a pixel: a pixel of the target is 255 (valid) exactly where every pixel of the source that
+    /// the kernel gives a weight, along both axes, is not 0, so that no colour of a valid pixel has a part
+    /// from one without data.
+    ///
+    /// # Panics
+    /// When a side is 0.
+    #[must_use]
+    pub fn validity(source: [usize; 2], target: [usize; 2]) -> Self {
+        Self { kind: Kind::Validity, ..Self::new(source, target, 1) }
     }
 
     /// Bytes of a row of the target.
@@ -83,11 +105,13 @@ impl BicubicRows {
         };
         let (to, start) = (self.row_bytes(), self.held.len());
         self.held.resize(start + count * to, 0);
-        let channels = self.channels;
-        self.held[start..]
-            .par_chunks_exact_mut(to)
-            .zip(rows.par_chunks_exact(from))
-            .for_each(|(out, row)| resize_row(row, channels, taps, out));
+        let (channels, kind) = (self.channels, self.kind);
+        self.held[start..].par_chunks_exact_mut(to).zip(rows.par_chunks_exact(from)).for_each(
+            |(out, row)| match kind {
+                Kind::Colours => resize_row(row, channels, taps, out),
+                Kind::Validity => valid_row(row, taps, out),
+            },
+        );
     }
 
     /// Makes the next rows, as many as fit into `out` and can be made of what was given; returns how many.
@@ -99,14 +123,18 @@ impl BicubicRows {
             None => row + 1,
         };
         let ready = (0..wanted).take_while(|i| reach(self.made + i) <= self.given).count();
-        let (held, first, made) = (&self.held, self.first, self.made);
+        let (held, first, made, kind) = (&self.held, self.first, self.made, self.kind);
         let rows = self.rows.as_deref();
         out[..ready * to].par_chunks_exact_mut(to).enumerate().for_each(|(i, out)| {
             let at = |row: usize| (row - first) * to;
             match rows {
                 Some(rows) => {
                     let taps = &rows[made + i];
-                    blend_rows(held[at(taps.first)..].chunks_exact(to), &taps.weights, out);
+                    let held = held[at(taps.first)..].chunks_exact(to);
+                    match kind {
+                        Kind::Colours => blend_rows(held, &taps.weights, out),
+                        Kind::Validity => valid_rows(held, &taps.weights, out),
+                    }
                 }
                 None => out.copy_from_slice(&held[at(made + i)..][..to]),
             }
@@ -123,13 +151,45 @@ impl BicubicRows {
     }
 }
 
+/// The mask of one row after the first pass.
+fn valid_row(row: &[u8], taps: &[Taps], out: &mut [u8]) {
+    // Most rows have data everywhere or nowhere.
+    if let Some(value) = uniform(row) {
+        out.fill(value);
+        return;
+    }
+    for (out, taps) in out.iter_mut().zip(taps) {
+        let mut under = taps.weights.iter().zip(&row[taps.first..]);
+        *out = if under.all(|(weight, valid)| *weight == 0 || *valid != 0) { 255 } else { 0 };
+    }
+}
+
+/// The mask of one row after the second pass, from the rows under the kernel.
+fn valid_rows<'a>(rows: impl Iterator<Item = &'a [u8]>, weights: &[i32], out: &mut [u8]) {
+    out.fill(255);
+    for (row, _) in rows.zip(weights).filter(|(_, weight)| **weight != 0) {
+        for (out, valid) in out.iter_mut().zip(row) {
+            *out = if *valid == 0 { 0 } else { *out };
+        }
+    }
+}
+
+/// 255 or 0 for a mask that is valid, or not, throughout.
+fn uniform(row: &[u8]) -> Option<u8> {
+    let valid = *row.first()? != 0;
+    row.iter().all(|value| (*value != 0) == valid).then_some(if valid { 255 } else { 0 })
+}
+
 /// A picture resized while it is read.
 #[derive(Debug)]
 pub struct ResampledPicture {
     picture: Picture,
     rows: BicubicRows,
+    /// Of a picture with a mask, once the mask is asked for.
+    valid_rows: Option<BicubicRows>,
     read: u32,
     buffer: Vec<u8>,
+    valid_buffer: Vec<u8>,
 }
 
 impl ResampledPicture {
@@ -144,7 +204,8 @@ impl ResampledPicture {
             size.map(|side| side as usize),
             3,
         );
-        Self { picture, rows, read: 0, buffer: Vec::new() }
+        let (buffer, valid_buffer) = (Vec::new(), Vec::new());
+        Self { picture, rows, valid_rows: None, read: 0, buffer, valid_buffer }
     }
 
     /// The picture that is read.
@@ -170,24 +231,133 @@ impl ResampledPicture {
     /// # Errors
     /// Those of [`Picture::read_rows`].
     pub fn next_rows(&mut self, out: &mut [u8]) -> Result<usize, PictureError> {
-        let row = self.rows.row_bytes();
-        let wanted = (out.len() / row).min(self.rows_left());
+        self.advance(out, None)
+    }
+
+    /// As [`ResampledPicture::next_rows`], the same colours, and into `valid`, one byte a pixel, 255 where the pixel
+    /// is made of pixels with data alone ([`BicubicRows::validity`]) and 0 elsewhere: as many rows as fit into both.
+    ///
+    /// # Errors
+    /// Those of [`Picture::read_rows`].
+    ///
+    /// # Panics
+    /// When the picture has a mask and rows were taken before without it.
+    pub fn next_rows_masked(
+        &mut self,
+        out: &mut [u8],
+        valid: &mut [u8],
+    ) -> Result<usize, PictureError> {
+        if self.picture.has_mask() && self.valid_rows.is_none() {
+            assert!(self.read == 0, "rows were taken without their mask");
+            self.valid_rows = Some(BicubicRows::validity(self.rows.source, self.rows.target));
+        }
+        self.advance(out, Some(valid))
+    }
+
+    fn advance(
+        &mut self,
+        out: &mut [u8],
+        mut valid: Option<&mut [u8]>,
+    ) -> Result<usize, PictureError> {
+        let (row, pixels) = (self.rows.row_bytes(), self.rows.target[0]);
+        let fit = valid.as_ref().map_or(usize::MAX, |valid| valid.len() / pixels);
+        let wanted = (out.len() / row).min(fit).min(self.rows_left());
         let mut done = 0;
         while done < wanted {
             let lacking = self.rows.wanted(1);
             if lacking > 0 {
-                let [width, height] = self.picture.size();
-                // Up to the next edge of the file's own strips or tiles: each is decoded once.
-                let band = self.picture.block()[1].max(1);
-                let needed = self.read.saturating_add(u32::try_from(lacking).unwrap_or(u32::MAX));
-                let end = needed.div_ceil(band).saturating_mul(band).min(height);
-                self.buffer.resize((end - self.read) as usize * width as usize * 3, 0);
-                self.picture.read_rows(self.read..end, &mut self.buffer)?;
-                self.read = end;
-                self.rows.give(&self.buffer);
+                self.read_more(lacking)?;
             }
-            done += self.rows.take(&mut out[done * row..wanted * row]);
+            let made = self.rows.take(&mut out[done * row..wanted * row]);
+            if let Some(rows) = &mut self.valid_rows {
+                // In step with the colours, whether they are asked for or not.
+                let mut unused = Vec::new();
+                let out = match &mut valid {
+                    Some(valid) => &mut valid[done * pixels..(done + made) * pixels],
+                    None => {
+                        unused.resize(made * pixels, 0);
+                        &mut unused[..]
+                    }
+                };
+                rows.take(out);
+            } else if let Some(valid) = &mut valid {
+                valid[done * pixels..(done + made) * pixels].fill(255);
+            }
+            done += made;
         }
         Ok(done)
+    }
+
+    /// Gives at least `lacking` more rows of the picture to the kernel.
+    fn read_more(&mut self, lacking: usize) -> Result<(), PictureError> {
+        let [width, height] = self.picture.size();
+        // Up to the next edge of the file's own strips or tiles: each is decoded once.
+        let band = self.picture.block()[1].max(1);
+        let needed = self.read.saturating_add(u32::try_from(lacking).unwrap_or(u32::MAX));
+        let end = needed.div_ceil(band).saturating_mul(band).min(height);
+        let pixels = (end - self.read) as usize * width as usize;
+        self.buffer.resize(pixels * 3, 0);
+        if let Some(rows) = &mut self.valid_rows {
+            self.valid_buffer.resize(pixels, 0);
+            let (rgb, valid) = (&mut self.buffer, &mut self.valid_buffer);
+            self.picture.read_rows_masked(self.read..end, rgb, valid)?;
+            rows.give(valid);
+        } else {
+            self.picture.read_rows(self.read..end, &mut self.buffer)?;
+        }
+        self.read = end;
+        self.rows.give(&self.buffer);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Beside the plain statement of it, pixel by pixel.
+        #[test]
+        fn a_valid_pixel_has_no_part_from_one_without_data(
+            source in (1_usize..40, 1_usize..40), target in (1_usize..40, 1_usize..40),
+            holes in proptest::collection::vec((0_usize..40, 0_usize..40), 0..6),
+            band in 1_usize..9,
+        ) {
+            let (source, target) = ([source.0, source.1], [target.0, target.1]);
+            let mut valid = vec![255; source[0] * source[1]];
+            for (x, y) in &holes {
+                valid[(y % source[1]) * source[0] + x % source[0]] = 0;
+            }
+            let mut rows = BicubicRows::validity(source, target);
+            let mut found = vec![7; target[0] * target[1]];
+            let mut done = 0;
+            for part in valid.chunks(band * source[0]) {
+                rows.give(part);
+                done += rows.take(&mut found[done * target[0]..]);
+            }
+            prop_assert_eq!(done, target[1]);
+            let taps = |axis: usize| {
+                if source[axis] == target[axis] {
+                    (0..source[axis]).map(|first| Taps { first, weights: vec![1] }).collect()
+                } else {
+                    bicubic_taps(source[axis], target[axis])
+                }
+            };
+            let (columns, lines) = (taps(0), taps(1));
+            for (i, value) in found.iter().enumerate() {
+                let (column, line) = (&columns[i % target[0]], &lines[i / target[0]]);
+                let mut expected = 255;
+                for (y, down) in line.weights.iter().enumerate() {
+                    for (x, across) in column.weights.iter().enumerate() {
+                        let at = (line.first + y) * source[0] + column.first + x;
+                        if *down != 0 && *across != 0 && valid[at] == 0 {
+                            expected = 0;
+                        }
+                    }
+                }
+                prop_assert_eq!(*value, expected, "pixel {}", i);
+            }
+        }
     }
 }

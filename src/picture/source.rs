@@ -10,8 +10,14 @@ use std::path::Path;
 
 /// A decoder that gives rows from the top.
 pub(super) trait RowSource: Send {
-    /// The next row, three bytes a pixel.
-    fn next_row(&mut self, out: &mut [u8]) -> Result<(), String>;
+    /// The next row, three bytes a pixel. Of a source with a mask, `valid` becomes 255 where the pixel has data
+    /// and 0 where it has none; a source without one leaves it alone.
+    fn next_row(&mut self, out: &mut [u8], valid: Option<&mut [u8]>) -> Result<(), String>;
+
+    /// Whether there can be pixels without data.
+    fn has_mask(&self) -> bool {
+        false
+    }
 
     /// Goes back to the top, if that costs nothing.
     fn rewind(&mut self) -> bool;
@@ -33,11 +39,24 @@ impl Blocks {
         }
     }
 
-    pub(super) fn read(&mut self, rectangle: Rectangle, out: &mut [u8]) -> Result<(), RasterError> {
+    pub(super) fn has_mask(&self) -> bool {
         match self {
-            Self::Tiff(colours) => colours.read(rectangle, out),
+            Self::Tiff(colours) => colours.has_mask(),
             #[cfg(feature = "gdal")]
-            Self::Gdal(colours) => colours.read(rectangle, out),
+            Self::Gdal(colours) => colours.has_mask(),
+        }
+    }
+
+    pub(super) fn read(
+        &mut self,
+        rectangle: Rectangle,
+        out: &mut [u8],
+        valid: Option<&mut [u8]>,
+    ) -> Result<(), RasterError> {
+        match self {
+            Self::Tiff(colours) => colours.read(rectangle, out, valid),
+            #[cfg(feature = "gdal")]
+            Self::Gdal(colours) => colours.read(rectangle, out, valid),
         }
     }
 }

@@ -18,12 +18,22 @@ enum Colours {
     Rgb([usize; 3]),
 }
 
-/// A raster of 8-bit bands as RGB. Alpha and masks are left out.
+/// What says that a pixel has no data, beside [`crate::picture`]'s rule. A pixel has none where all these masks
+/// are 0, or alpha is.
+#[derive(Debug, Default)]
+struct Validity {
+    /// Bands whose masks are looked at.
+    masks: Vec<usize>,
+    alpha: Option<usize>,
+}
+
+/// A raster of 8-bit bands as RGB. Alpha and masks change no colours.
 #[derive(Debug)]
 pub(crate) struct GdalColours {
     header: RasterHeader,
     dataset: Dataset,
     colours: Colours,
+    validity: Validity,
 }
 
 impl GdalColours {
@@ -46,7 +56,9 @@ impl GdalColours {
         let dataset = Dataset::open(path).map_err(|error| unreadable(error.to_string()))?;
         let (colours, warning) = colours(&dataset).map_err(unreadable)?;
         header.warnings.extend(warning);
-        Ok(Self { header, dataset, colours })
+        let validity =
+            validity(&dataset, &colours).map_err(|error| unreadable(explain(&error)))?;
+        Ok(Self { header, dataset, colours, validity })
     }
 
     /// What the header says.
@@ -54,11 +66,22 @@ impl GdalColours {
         &self.header
     }
 
-    /// Reads a rectangle: rows from the top, three bytes a pixel.
+    /// Whether there can be pixels without data.
+    pub(crate) fn has_mask(&self) -> bool {
+        !self.validity.masks.is_empty() || self.validity.alpha.is_some()
+    }
+
+    /// Reads a rectangle: rows from the top, three bytes a pixel, and where it is asked for the mask: 255 where a
+    /// pixel has data, 0 where it has none.
     ///
     /// # Errors
     /// [`RasterError::Block`] naming the block that could not be read.
-    pub(crate) fn read(&mut self, rectangle: Rectangle, out: &mut [u8]) -> Result<(), RasterError> {
+    pub(crate) fn read(
+        &mut self,
+        rectangle: Rectangle,
+        out: &mut [u8],
+        mut valid: Option<&mut [u8]>,
+    ) -> Result<(), RasterError> {
         let (width, height) = (self.header.block_width as usize, self.header.block_height as usize);
         let (right, bottom) = (rectangle.x + rectangle.width, rectangle.y + rectangle.height);
         // Block by block, so that the bands of one block come out of GDAL's cache.
@@ -71,10 +94,16 @@ impl GdalColours {
                     width: ((bx + 1) * width).min(right) - x,
                     height: ((by + 1) * height).min(bottom) - y,
                 };
-                let start = ((y - rectangle.y) * rectangle.width + (x - rectangle.x)) * 3;
-                self.read_part(part, &mut out[start..], rectangle.width * 3).map_err(|error| {
-                    self.header.block_error(bx as u32, by as u32, explain(&error))
-                })?;
+                let start = (y - rectangle.y) * rectangle.width + (x - rectangle.x);
+                let valid = valid.as_deref_mut().map(|valid| &mut valid[start..]);
+                self.read_part(part, &mut out[start * 3..], rectangle.width * 3)
+                    .and_then(|()| match valid {
+                        Some(valid) => self.mark_part(part, valid, rectangle.width),
+                        None => Ok(()),
+                    })
+                    .map_err(|error| {
+                        self.header.block_error(bx as u32, by as u32, explain(&error))
+                    })?;
             }
         }
         Ok(())
@@ -82,12 +111,7 @@ impl GdalColours {
 
     /// Reads a part of a rectangle into rows that lie `stride` bytes apart.
     fn read_part(&self, part: Rectangle, out: &mut [u8], stride: usize) -> Result<(), GdalError> {
-        let read = |band: usize| -> Result<Vec<u8>, GdalError> {
-            let origin = (isize::try_from(part.x)?, isize::try_from(part.y)?);
-            let size = (part.width, part.height);
-            let band = self.dataset.rasterband(band)?;
-            Ok(band.read_as::<u8>(origin, size, size, None)?.into_shape_and_vec().1)
-        };
+        let read = |band: usize| read_part(&self.dataset.rasterband(band)?, part);
         let mut put = |values: &[u8], convert: &dyn Fn(u8, &mut [u8])| {
             for (row, values) in values.chunks_exact(part.width).enumerate() {
                 let out = &mut out[row * stride..][..part.width * 3];
@@ -113,6 +137,66 @@ impl GdalColours {
         }
         Ok(())
     }
+}
+
+impl GdalColours {
+    /// Marks the pixels of a part of a rectangle, in rows that lie `stride` bytes apart.
+    fn mark_part(&self, part: Rectangle, valid: &mut [u8], stride: usize) -> Result<(), GdalError> {
+        let mut mask = vec![if self.validity.masks.is_empty() { 255 } else { 0 }; part.width * part.height];
+        for number in &self.validity.masks {
+            let band = self.dataset.rasterband(*number)?;
+            let values = read_part(&band.open_mask_band()?, part)?;
+            for (valid, value) in mask.iter_mut().zip(values) {
+                *valid |= if value == 0 { 0 } else { 255 };
+            }
+        }
+        if let Some(number) = self.validity.alpha {
+            let alpha = read_part(&self.dataset.rasterband(number)?, part)?;
+            for (valid, value) in mask.iter_mut().zip(alpha) {
+                *valid = if value == 0 { 0 } else { *valid };
+            }
+        }
+        for (row, values) in mask.chunks_exact(part.width).enumerate() {
+            valid[row * stride..][..part.width].copy_from_slice(values);
+        }
+        Ok(())
+    }
+}
+
+fn read_part(band: &RasterBand<'_>, part: Rectangle) -> Result<Vec<u8>, GdalError> {
+    let origin = (isize::try_from(part.x)?, isize::try_from(part.y)?);
+    let size = (part.width, part.height);
+    Ok(band.read_as::<u8>(origin, size, size, None)?.into_shape_and_vec().1)
+}
+
+/// Which masks mark pixels.
+fn validity(dataset: &Dataset, colours: &Colours) -> Result<Validity, GdalError> {
+    let used = match colours {
+        Colours::Rgb(bands) => bands.to_vec(),
+        Colours::Shade { .. } | Colours::Palette(_) => vec![1],
+    };
+    let mut alpha = None;
+    let mut plain = Vec::new();
+    for number in 1..=dataset.raster_count() {
+        let band = dataset.rasterband(number)?;
+        if band.color_interpretation() == ColorInterpretation::AlphaBand && !used.contains(&number) {
+            alpha = Some(number);
+        } else {
+            plain.push((number, band.mask_flags()?));
+        }
+    }
+    // One mask for all bands: the file's own, or no-data values of all bands together.
+    if let Some((number, flags)) = plain.first()
+        && flags.is_per_dataset()
+        && !flags.is_alpha()
+    {
+        let alpha = alpha.filter(|_| flags.is_nodata());
+        return Ok(Validity { masks: vec![*number], alpha });
+    }
+    // A band that has data everywhere gives every pixel some.
+    let masked = plain.iter().all(|(_, flags)| !flags.is_all_valid() && !flags.is_alpha());
+    let masks = if masked { plain.into_iter().map(|(number, _)| number).collect() } else { Vec::new() };
+    Ok(Validity { masks, alpha })
 }
 
 fn is_byte(band: &RasterBand<'_>) -> bool {

@@ -78,6 +78,11 @@ impl BandReader {
         }
     }
 
+    /// The band, counted from 0.
+    pub(super) const fn band(&self) -> usize {
+        self.band
+    }
+
     /// Hands the rectangle's pixels to `sink`, run by run, each exactly once.
     pub(super) fn read(
         &mut self,

@@ -2,7 +2,8 @@
 
 use super::header::Rectangle;
 use super::tiff_codec::{BandReader, Run, check_supported};
-use super::tiff_directory::{TiffFile, TiffImage};
+use super::tiff_directory::{MetadataItem, TiffFile, TiffImage, parse_nodata};
+use super::tiff_reader::valid_pixels;
 use super::{OpenOptions, RasterError, RasterHeader, RasterReader, TiffReader, beside};
 use std::fs::File;
 
@@ -17,14 +18,36 @@ enum Colours {
     Rgb([usize; 3]),
 }
 
+/// What says that a pixel has no data.
+#[derive(Debug)]
+enum Validity {
+    /// Nothing.
+    Whole,
+    /// The internal mask.
+    Mask(Box<BandReader>),
+    Samples(SampleRule),
+}
+
+/// No data where alpha is 0, and where all bands but alpha equal their no-data values.
+#[derive(Debug)]
+struct SampleRule {
+    alpha: Option<usize>,
+    /// Bands with their no-data values; none where a band has no such value.
+    nodata: Vec<(usize, u8)>,
+}
+
 /// An 8-bit GeoTIFF as RGB: shades, palette or colours, chunky or planar, in the encodings that
-/// [`TiffReader`] has. Alpha and masks are left out.
+/// [`TiffReader`] has. Alpha and masks change no colours.
 #[derive(Debug)]
 pub(crate) struct TiffColours {
     header: RasterHeader,
     file: File,
+    /// Those of the colours; the only one of a chunky image.
     bands: Vec<BandReader>,
+    /// Numbers of a planar image's bands that only the mask needs.
+    more: Vec<(usize, BandReader)>,
     colours: Colours,
+    validity: Validity,
     /// What a strip or tile that was never written holds.
     fill: u8,
 }
@@ -58,16 +81,25 @@ impl TiffColours {
         let (colours, warning) = colours(&tiff).map_err(unreadable)?;
         let mut header = TiffReader::open(path, options)?.header().clone();
         header.warnings.extend(warning);
-        let bands: Vec<_> = match &colours {
+        let numbers = match &colours {
             Colours::Rgb(bands) if image.planar => bands.to_vec(),
             _ => vec![0],
         };
+        let validity = validity(&tiff, &colours);
+        let reader = |band: usize| BandReader::new(image.clone(), band);
+        let more = match &validity {
+            Validity::Samples(rule) if image.planar => rule.bands(),
+            _ => Vec::new(),
+        };
+        let more = more.into_iter().filter(|band| !numbers.contains(band));
         Ok(Self {
             header,
             file: File::open(path)
                 .map_err(|source| RasterError::Io { path: path.to_owned(), source })?,
-            bands: bands.into_iter().map(|band| BandReader::new(image.clone(), band)).collect(),
+            more: more.map(|band| (band, reader(band))).collect(),
+            bands: numbers.into_iter().map(reader).collect(),
             colours,
+            validity,
             fill: tiff.nodata.unwrap_or(0.0).round_ties_even() as u8,
         })
     }
@@ -77,17 +109,73 @@ impl TiffColours {
         &self.header
     }
 
-    /// Reads a rectangle: rows from the top, three bytes a pixel.
+    /// Whether there can be pixels without data.
+    pub(crate) fn has_mask(&self) -> bool {
+        !matches!(self.validity, Validity::Whole)
+    }
+
+    /// Reads a rectangle: rows from the top, three bytes a pixel, and where it is asked for the mask: 255 where a
+    /// pixel has data, 0 where it has none.
     ///
     /// # Errors
-    /// [`RasterError::Block`] naming the block that holds the rectangle's corner.
-    pub(crate) fn read(&mut self, rectangle: Rectangle, out: &mut [u8]) -> Result<(), RasterError> {
-        let (size, fill) = (self.header.size_bytes, self.fill);
-        let (colours, planar) = (&self.colours, self.bands.len() > 1);
+    /// [`RasterError::Block`] naming the first block of the row of blocks that could not be read.
+    pub(crate) fn read(
+        &mut self,
+        rectangle: Rectangle,
+        out: &mut [u8],
+        mut valid: Option<&mut [u8]>,
+    ) -> Result<(), RasterError> {
+        // By rows of blocks, so that damage has a place; a block holds whole strips or tiles.
+        let height = self.header.block_height as usize;
+        let bottom = rectangle.y + rectangle.height;
+        let mut y = rectangle.y;
+        while y < bottom {
+            let end = ((y / height + 1) * height).min(bottom);
+            let part = Rectangle { y, height: end - y, ..rectangle };
+            let start = (y - rectangle.y) * rectangle.width;
+            let pixels = start..start + part.height * part.width;
+            let out = &mut out[pixels.start * 3..pixels.end * 3];
+            let valid = valid.as_deref_mut().map(|valid| &mut valid[pixels]);
+            self.read_part(part, out, valid).map_err(|reason| {
+                let column = part.x as u32 / self.header.block_width;
+                self.header.block_error(column, (y / height) as u32, reason)
+            })?;
+            y = end;
+        }
+        Ok(())
+    }
+
+    fn read_part(
+        &mut self,
+        rectangle: Rectangle,
+        out: &mut [u8],
+        mut valid: Option<&mut [u8]>,
+    ) -> Result<(), String> {
+        let (size, fill, file) = (self.header.size_bytes, self.fill, &mut self.file);
+        if let (Some(valid), Validity::Mask(mask)) = (&mut valid, &mut self.validity) {
+            let bytes = usize::from(mask.image.bits / 8);
+            mask.read(file, size, rectangle, |run| {
+                let start = run.y * rectangle.width + run.x;
+                let valid = &mut valid[start..start + run.width];
+                valid_pixels(&run, bytes, false, valid);
+                valid.iter_mut().for_each(|value| *value *= 255);
+            })?;
+        }
+        let rule = match &self.validity {
+            Validity::Samples(rule) => Some(rule),
+            _ => None,
+        };
+        let mut valid = valid.filter(|_| rule.is_some());
+        if let (Some(valid), Some(rule)) = (&mut valid, rule) {
+            // Of a planar image, one band with data after the other makes a pixel valid.
+            valid.fill(if rule.nodata.is_empty() { 255 } else { 0 });
+        }
+        let (colours, planar) = (&self.colours, self.bands[0].image.planar);
         for (channel, band) in self.bands.iter_mut().enumerate() {
-            band.read(&mut self.file, size, rectangle, |run| {
-                let start = (run.y * rectangle.width + run.x) * 3;
-                let out = &mut out[start..start + run.width * 3];
+            let number = band.band();
+            band.read(file, size, rectangle, |run| {
+                let start = run.y * rectangle.width + run.x;
+                let out = &mut out[start * 3..(start + run.width) * 3];
                 match colours {
                     Colours::Rgb(_) if planar => {
                         for (i, pixel) in out.chunks_exact_mut(3).enumerate() {
@@ -96,15 +184,104 @@ impl TiffColours {
                     }
                     colours => convert(colours, &run, fill, out),
                 }
-            })
-            .map_err(|reason| {
-                let (x, y) = (rectangle.x as u32, rectangle.y as u32);
-                let block = (x / self.header.block_width, y / self.header.block_height);
-                self.header.block_error(block.0, block.1, reason)
+                if let (Some(valid), Some(rule)) = (&mut valid, rule) {
+                    let valid = &mut valid[start..start + run.width];
+                    if planar {
+                        rule.mark_band(number, &run, fill, valid);
+                    } else {
+                        rule.mark_pixels(&run, fill, valid);
+                    }
+                }
             })?;
+        }
+        // Alpha comes last: it takes data away.
+        if let (Some(valid), Some(rule)) = (valid, rule) {
+            for (number, band) in &mut self.more {
+                band.read(file, size, rectangle, |run| {
+                    let start = run.y * rectangle.width + run.x;
+                    rule.mark_band(*number, &run, fill, &mut valid[start..start + run.width]);
+                })?;
+            }
         }
         Ok(())
     }
+}
+
+impl SampleRule {
+    /// The bands that are looked at, alpha last.
+    fn bands(&self) -> Vec<usize> {
+        self.nodata.iter().map(|(band, _)| *band).chain(self.alpha).collect()
+    }
+
+    /// Of a run with all samples of its pixels.
+    fn mark_pixels(&self, run: &Run<'_>, fill: u8, valid: &mut [u8]) {
+        for (i, valid) in valid.iter_mut().enumerate() {
+            let transparent = self.alpha.is_some_and(|band| sample(run, i, band, fill) == 0);
+            let mut bands = self.nodata.iter();
+            let empty = !self.nodata.is_empty()
+                && bands.all(|(band, nodata)| sample(run, i, *band, fill) == *nodata);
+            *valid = if transparent || empty { 0 } else { 255 };
+        }
+    }
+
+    /// Of a run of one band.
+    fn mark_band(&self, band: usize, run: &Run<'_>, fill: u8, valid: &mut [u8]) {
+        let nodata = self.nodata.iter().find(|(number, _)| *number == band);
+        for (i, valid) in valid.iter_mut().enumerate() {
+            let value = sample(run, i, 0, fill);
+            if self.alpha == Some(band) {
+                *valid = if value == 0 { 0 } else { *valid };
+            } else if nodata.is_some_and(|(_, nodata)| value != *nodata) {
+                *valid = 255;
+            }
+        }
+    }
+}
+
+/// What the file has that marks pixels: see [`crate::picture`].
+fn validity(tiff: &TiffFile, colours: &Colours) -> Validity {
+    if let Some(mask) = &tiff.mask {
+        return Validity::Mask(Box::new(BandReader::new(mask.clone(), 0)));
+    }
+    let samples = usize::from(tiff.image.samples);
+    let used = match colours {
+        Colours::Rgb(bands) => bands.to_vec(),
+        Colours::Shade { .. } | Colours::Palette(_) => vec![0],
+    };
+    let alpha = (0..samples).rfind(|band| is_alpha(tiff, *band) && !used.contains(band));
+    // A value for each band, as programs other than GDAL write it, or one for all.
+    let item = |item: &&MetadataItem| item.domain.is_empty() && item.name == "NODATA_VALUES";
+    let each = tiff.items.iter().find(item).map(|item| {
+        item.value.split_whitespace().map(|text| parse_nodata(text)).collect::<Vec<_>>()
+    });
+    let value = |band: usize| match &each {
+        Some(values) if values.len() == samples => values[band],
+        _ => tiff.nodata,
+    };
+    let plain: Vec<usize> = (0..samples).filter(|band| alpha != Some(*band)).collect();
+    let byte = |value: f64| (value.fract() == 0.0 && (0.0..256.0).contains(&value)).then_some(value as u8);
+    let nodata: Option<Vec<_>> =
+        plain.into_iter().map(|band| Some((band, byte(value(band)?)?))).collect();
+    let nodata = nodata.unwrap_or_default();
+    if alpha.is_none() && nodata.is_empty() {
+        return Validity::Whole;
+    }
+    Validity::Samples(SampleRule { alpha, nodata })
+}
+
+/// Whether a band, counted from 0, is alpha: GDAL's own note first, then the tag.
+fn is_alpha(tiff: &TiffFile, band: usize) -> bool {
+    let note = tiff.items.iter().find(|item| {
+        item.role.eq_ignore_ascii_case("colorinterp")
+            && item.sample.is_some_and(|sample| sample as usize == band)
+    });
+    if let Some(note) = note {
+        return note.value.eq_ignore_ascii_case("alpha");
+    }
+    let extra = &tiff.image.extra_samples;
+    let first = usize::from(tiff.image.samples).saturating_sub(extra.len());
+    let kind = band.checked_sub(first).and_then(|index| extra.get(index));
+    matches!(kind, Some(1 | 2))
 }
 
 fn sample(run: &Run<'_>, pixel: usize, band: usize, fill: u8) -> u8 {

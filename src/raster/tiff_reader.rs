@@ -167,7 +167,7 @@ fn decode_run(
 }
 
 /// Marks the pixels of a run whose mask or alpha sample is not zero. `bytes` is 0 for single bits.
-fn valid_pixels(run: &Run<'_>, bytes: usize, fill: bool, out: &mut [u8]) {
+pub(super) fn valid_pixels(run: &Run<'_>, bytes: usize, fill: bool, out: &mut [u8]) {
     match run.row {
         // A mask that was never written is zero; an alpha band holds what the heights hold.
         None => out.fill(u8::from(fill && bytes > 0)),

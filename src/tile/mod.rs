@@ -14,6 +14,8 @@ pub mod slabs;
 mod sums;
 pub mod surface;
 pub mod tiles3d;
+pub mod ground;
+pub mod spool;
 
 pub use column::ColumnIntegral;
 pub use engine::{Engine, LineSink, Outcome, WindowModel, WindowSource};

@@ -481,7 +481,7 @@ fn put_block(
 }
 
 impl RowSource for JpegRows {
-    fn next_row(&mut self, out: &mut [u8]) -> Result<(), String> {
+    fn next_row(&mut self, out: &mut [u8], _valid: Option<&mut [u8]>) -> Result<(), String> {
         if self.whole && !self.loaded {
             self.load()?;
         }
