@@ -11,7 +11,7 @@
 
 use super::Lattice;
 use crate::crs::{CrsError, Projection};
-use crate::grid::{ImageGrid, LonLat, PixelPoint, Projected};
+use crate::grid::{GeoTransform, ImageGrid, LonLat, PixelPoint, Projected};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -51,6 +51,19 @@ pub enum PixelToCrs {
         grid: ImageGrid,
         /// The coordinate operation.
         projection: Arc<dyn Projection>,
+    },
+    /// Pixel of a raster in another CRS -> WGS 84 -> CRS.
+    Raster {
+        /// From its pixels to its CRS.
+        geotransform: GeoTransform,
+        /// Pixels across.
+        width: u32,
+        /// Pixels down.
+        height: u32,
+        /// The operation that its CRS stands for.
+        from: Arc<dyn Projection>,
+        /// The operation to the CRS.
+        to: Arc<dyn Projection>,
     },
     /// The reference implementation's grid: an axis-aligned box in the CRS.
     Box {
@@ -100,6 +113,9 @@ impl PixelToCrs {
     pub fn position(&self, p: PixelPoint) -> Result<Projected, CrsError> {
         match self {
             Self::WebMercator { grid, projection } => projection.forward(grid.lonlat(p)),
+            Self::Raster { geotransform, from, to, .. } => {
+                to.forward(from.inverse(geotransform.to_projected(p))?)
+            }
             Self::Box { north_west, south_east, width, height } => {
                 let (u, v) = (p.x / f64::from(*width), p.y / f64::from(*height));
                 Ok(Projected {
@@ -115,7 +131,9 @@ impl PixelToCrs {
     pub const fn size(&self) -> (u32, u32) {
         match self {
             Self::WebMercator { grid, .. } => (grid.width(), grid.height()),
-            Self::Box { width, height, .. } => (*width, *height),
+            Self::Raster { width, height, .. } | Self::Box { width, height, .. } => {
+                (*width, *height)
+            }
         }
     }
 }
@@ -385,7 +403,6 @@ fn truncated(c: &[[f64; 3]; 3], keep: &[(usize, usize)]) -> [[f64; 3]; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::grid::GeoTransform;
     use proptest::prelude::*;
 
     /// A smooth, curved, rotated "projection" with a known shape, in metres.

@@ -16,6 +16,8 @@ pub mod surface;
 pub mod tiles3d;
 pub mod ground;
 pub mod spool;
+pub mod dsm;
+pub mod seams;
 
 pub use column::ColumnIntegral;
 pub use engine::{Engine, LineSink, Outcome, WindowModel, WindowSource};

@@ -1,19 +1,24 @@
 //! Writing GeoTIFF in pure Rust: [`GeoTiffWriter`] streams rasters of any size into a file,
-//! [`encode_cog`] makes a Cloud Optimized GeoTIFF in memory. One band of 32-bit floats; the same
-//! bytes on every machine and for any number of threads. See `docs/formats.md`.
+//! [`CogWriter`] does so as Cloud Optimized GeoTIFF, [`encode_cog`] makes one in memory. One band of
+//! 32-bit floats; the same bytes on every machine and for any number of threads. See `docs/formats.md`.
 
 mod cog;
+mod cog_writer;
 mod geographic;
 mod geokeys;
 mod predictor;
+mod pyramid;
 mod tags;
 mod tiles;
 mod writer;
 
 #[cfg(test)]
+mod cog_tests;
+#[cfg(test)]
 mod tests;
 
 pub use cog::{CogSpec, encode_cog};
+pub use cog_writer::CogWriter;
 pub use predictor::Compression;
 pub use writer::{GeoTiffSpec, GeoTiffWriter, Layout};
 

@@ -35,7 +35,16 @@ pub(super) enum Format {
     Big,
 }
 
+/// Raw bytes from which a file is BigTIFF: well under the 4 GiB of classic TIFF, because data that
+/// do not compress grow a little and the directory comes on top.
+const BIG_FROM_BYTES: u64 = 3_500_000_000;
+
 impl Format {
+    /// The format of a file whose samples take `bytes` without compression.
+    pub(super) const fn of_raw(bytes: u64) -> Self {
+        if bytes >= BIG_FROM_BYTES { Self::Big } else { Self::Classic }
+    }
+
     /// The file's first bytes, up to and with the offset of the first directory.
     pub(super) fn header(self, first_directory: u64) -> Vec<u8> {
         let mut header = b"II".to_vec();

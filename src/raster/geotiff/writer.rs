@@ -10,9 +10,6 @@ use crate::units::LinearUnit;
 use std::io::{self, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-/// Raw bytes from which a file is BigTIFF: well under the 4 GiB of classic TIFF, because data that
-/// do not compress grow a little and the directory comes on top.
-const BIG_FROM_BYTES: u64 = 3_500_000_000;
 /// Rows that are compressed at once at least, so that strips keep all cores busy too.
 const BATCH_ROWS: u32 = 256;
 /// A strip or tile above this is a mistake: readers have to hold one whole.
@@ -71,7 +68,7 @@ impl Default for GeoTiffSpec {
 }
 
 impl GeoTiffSpec {
-    fn check(&self, path: &Path) -> Result<(), GeoTiffError> {
+    pub(super) fn check(&self, path: &Path) -> Result<(), GeoTiffError> {
         let fail = |item, value: String, rule| {
             Err(GeoTiffError::Spec { path: path.to_owned(), item, value, rule })
         };
@@ -174,8 +171,8 @@ impl GeoTiffWriter {
     /// [`GeoTiffError::Spec`] for what GeoTIFF cannot hold, [`GeoTiffError::Io`] when the folder
     /// cannot be written.
     pub fn create(path: &Path, spec: &GeoTiffSpec) -> Result<Self, GeoTiffError> {
-        let big = spec.check(path).map(|()| spec.cut().raw_bytes() >= BIG_FROM_BYTES)?;
-        Self::create_as(path, spec, if big { Format::Big } else { Format::Classic })
+        spec.check(path)?;
+        Self::create_as(path, spec, Format::of_raw(spec.cut().raw_bytes()))
     }
 
     pub(super) fn create_as(
