@@ -107,6 +107,9 @@ struct OutputArgs {
     /// Write the DSM under this name: a Cloud Optimized GeoTIFF in metres
     #[arg(long, value_name = "NAME.tif", value_parser = dsm_name)]
     dsm: Option<String>,
+    /// Also write a hillshaded picture of the DSM, <stem>_dsm_preview.png
+    #[arg(long)]
+    preview: bool,
     /// Warp the DSM to this CRS (default: the picture's own)
     #[arg(long = "t_srs", alias = "t-srs", value_name = "EPSG:CODE")]
     t_srs: Option<String>,
@@ -298,13 +301,16 @@ impl OutputArgs {
             || self.tiles3d.is_some();
         let mut outputs = if asked { TileOutputs::default() } else { TileOutputs::of_stem(stem) };
         if let Some(file) = &self.dsm {
-            outputs.dsm = Some(DsmRequest { file: file.clone(), t_srs: None });
+            outputs.dsm = Some(DsmRequest { file: file.clone(), preview: false, t_srs: None });
         }
         match &mut outputs.dsm {
-            Some(dsm) => dsm.t_srs.clone_from(&self.t_srs),
+            Some(dsm) => {
+                dsm.t_srs.clone_from(&self.t_srs);
+                dsm.preview = self.preview;
+            }
             None => anyhow::ensure!(
-                self.t_srs.is_none(),
-                "--t_srs is the CRS of the DSM; add --dsm NAME.tif"
+                self.t_srs.is_none() && !self.preview,
+                "--t_srs and --preview are of the DSM; add --dsm NAME.tif"
             ),
         }
         if let Some(MeshName { file, format }) = &self.mesh {
@@ -391,8 +397,8 @@ fn words(summary: &TileSummary, out: &Path) -> String {
             let _ = writeln!(
                 text,
                 "  seams: heights jump by {:.3} m across window borders and by {:.3} m elsewhere ({:.2} times)",
-                seams.across_border.mean_m,
-                seams.inside.mean_m,
+                seams.across_border.mean_m.unwrap_or(f64::NAN),
+                seams.inside.mean_m.unwrap_or(f64::NAN),
                 seams.ratio.unwrap_or(f64::NAN)
             );
         }

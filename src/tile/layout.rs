@@ -198,17 +198,6 @@ impl AxisWindows {
         let to = self.windows.partition_point(|window| window.pixels.start < pixels.end);
         from..to.max(from)
     }
-
-    /// Pixels at which a window begins or ends inside the picture, ascending: where seams would be.
-    #[must_use]
-    pub fn borders(&self) -> Vec<u32> {
-        let end = self.windows.iter().map(|window| window.pixels.end).max().unwrap_or(0);
-        let sides = self.windows.iter().flat_map(|w| [w.pixels.start, w.pixels.end]);
-        let mut borders: Vec<u32> = sides.filter(|pixel| *pixel > 0 && *pixel < end).collect();
-        borders.sort_unstable();
-        borders.dedup();
-        borders
-    }
 }
 
 #[cfg(test)]
@@ -306,12 +295,5 @@ mod tests {
         assert_eq!(check(1, 128), Err(LayoutError::Trim { trim: 128 }));
         let text = check(200, 40).expect_err("holes").to_string();
         assert!(text.contains("--stride 176 or less"), "{text}");
-    }
-
-    #[test]
-    fn borders_are_inside() {
-        assert_eq!(windows(512, 128, 0, Blend::Mean).borders(), [128, 256, 384]);
-        assert_eq!(windows(300, 128, 32, Blend::Mean).borders(), [76, 224]);
-        assert!(windows(256, 64, 0, Blend::Mean).borders().is_empty());
     }
 }

@@ -6,14 +6,20 @@ mod engine;
 #[cfg(test)]
 mod engine_tests;
 mod explain;
+mod finish;
 pub mod frame;
+mod job;
 pub mod layout;
 mod network;
 mod options;
+mod record;
+mod run;
 pub mod slabs;
 mod sums;
 pub mod surface;
 pub mod tiles3d;
+mod volume;
+mod writer;
 pub mod ground;
 pub mod spool;
 pub mod dsm;
@@ -21,7 +27,15 @@ pub mod seams;
 
 pub use column::ColumnIntegral;
 pub use engine::{Engine, LineSink, Outcome, WindowModel, WindowSource};
+pub use finish::{CityFacts, CityOutput};
+pub use job::Job;
 pub use network::{NetworkWindows, TileLattice};
+pub use options::{
+    CityColor, CityMeshRequest, DsmRequest, ISOVALUE, TILES3D_ERROR_M, TileOptions, TileOutputs,
+    Tiles3dRequest,
+};
+pub use record::SlabRecord;
+pub use run::{Prepared, TileSummary, merge, prepare};
 
 use crate::batch::JournalError;
 use crate::model::ModelError;
@@ -73,6 +87,32 @@ pub enum TileError {
     /// Windows cannot be laid out.
     #[error(transparent)]
     Layout(#[from] layout::LayoutError),
+    /// The picture cannot be opened.
+    #[error(transparent)]
+    Open(#[from] crate::picture::PictureError),
+    /// The picture has no usable size on the ground.
+    #[error("{}: {source}", path.display())]
+    Ground {
+        /// The picture.
+        path: PathBuf,
+        /// Why.
+        source: ground::GroundError,
+    },
+    /// The picture cannot be brought to model resolution.
+    #[error(transparent)]
+    Spool(#[from] spool::SpoolError),
+    /// The density volume cannot be written.
+    #[error(transparent)]
+    Volume(#[from] crate::volume::VolumeError),
+    /// The surface cannot be extracted.
+    #[error(transparent)]
+    Surface(#[from] crate::model::mesh::MeshError),
+    /// The DSM cannot be written.
+    #[error(transparent)]
+    Dsm(#[from] dsm::DsmError),
+    /// The city's place cannot be used.
+    #[error(transparent)]
+    Place(#[from] crate::footprint::FootprintError),
 }
 
 impl TileError {

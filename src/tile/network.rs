@@ -1,14 +1,17 @@
 //! Windows through the network.
 
 use super::city::Levels;
-use super::engine::WindowModel;
+use super::engine::{WindowModel, WindowSource};
 use super::layout::WINDOW;
+use super::spool::Spool;
 use crate::model::field::Field;
 use crate::model::render::{
     Border, DensityGrid, Lattice, ReferenceGrid, density_grid, exact_scale, reference_grid,
 };
 use crate::model::{Image8, Model};
 use serde::{Deserialize, Serialize};
+use std::io;
+use std::ops::Range;
 
 /// Points along each axis of the released grid.
 const REFERENCE_COUNT: usize = 320;
@@ -92,5 +95,16 @@ impl WindowModel for NetworkWindows<'_> {
             }
             TileLattice::Reference => reference_grid(&field, &released()),
         })
+    }
+}
+
+impl WindowSource for Spool {
+    fn window(&self, x: i64, y: i64) -> io::Result<(Image8, Vec<bool>)> {
+        Self::window(self, x, y, WINDOW)
+    }
+
+    fn valid(&self, rectangle: [Range<u32>; 2]) -> io::Result<Option<Vec<bool>>> {
+        let (_, valid) = self.rectangle(rectangle)?;
+        Ok(valid.contains(&false).then_some(valid))
     }
 }

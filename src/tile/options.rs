@@ -35,7 +35,11 @@ impl TileOutputs {
     #[must_use]
     pub fn of_stem(stem: &str) -> Self {
         Self {
-            dsm: Some(DsmRequest { file: format!("{stem}_dsm.tif"), t_srs: None }),
+            dsm: Some(DsmRequest {
+                file: format!("{stem}_dsm.tif"),
+                preview: false,
+                t_srs: None,
+            }),
             mesh: Some(CityMeshRequest::new(format!("{stem}.glb"), MeshFormat::Glb)),
             density: None,
             tiles3d: None,
@@ -69,6 +73,8 @@ impl TileOutputs {
 pub struct DsmRequest {
     /// File name.
     pub file: String,
+    /// Also a hillshaded picture of it.
+    pub preview: bool,
     /// Code of the CRS that it is warped to (`EPSG:32610`); the picture's own where there is none.
     pub t_srs: Option<String>,
 }
