@@ -37,6 +37,7 @@ pub struct LocalFrame {
     size: [f64; 2],
     gsd_m: [f64; 2],
     vertical_m: f64,
+    base_height_m: f64,
     placed: Option<Placed>,
 }
 
@@ -63,6 +64,7 @@ impl LocalFrame {
             size: city.size.map(f64::from),
             gsd_m: city.gsd_m(),
             vertical_m: city.vertical_m,
+            base_height_m,
             placed,
         })
     }
@@ -85,6 +87,12 @@ impl LocalFrame {
     #[must_use]
     pub fn origin(&self) -> Option<LonLat> {
         self.placed.as_ref().map(|placed| placed.origin)
+    }
+
+    /// Height of the origin above the ellipsoid, metres, as it was given.
+    #[must_use]
+    pub fn base_height_m(&self) -> f64 {
+        self.base_height_m
     }
 
     /// Column-major 4 x 4 matrix from the local frame to earth-centred, earth-fixed coordinates (EPSG:4978);
