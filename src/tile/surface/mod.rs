@@ -1,5 +1,10 @@
 //! The city's surface: cut into tiles while it is made, welded, simplified and written afterwards.
 
+pub mod distance;
+pub mod simplify;
+pub mod store;
+pub mod weld;
+
 /// Columns and rows of model pixels of one tile.
 pub const TILE: u32 = 256;
 

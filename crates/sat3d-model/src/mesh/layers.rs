@@ -65,6 +65,13 @@ pub trait SurfaceSink {
     /// A triangle of vertices that have all been given, counter-clockwise seen from outside where the
     /// axes 0, 1, 2 are right-handed.
     fn triangle(&mut self, corners: [u32; 3]);
+
+    /// Says that the triangles up to the next call lie in cells along axis 1 number `cells`: those between
+    /// point `cells - 1` and point `cells` of that axis. Cells 0 lie before the first point and cells
+    /// `rows.len()` behind the last one. It comes for each row of cells, with or without triangles.
+    fn cells(&mut self, cells: usize) {
+        let _ = cells;
+    }
 }
 
 /// A surface in double precision, in the axes' coordinates.
@@ -254,6 +261,7 @@ impl<V: Copy + Into<f64>> LayerMesher<V> {
         }
         self.give_vertices(sink);
         for row in 0..=self.rows.len() {
+            sink.cells(row);
             for word in 0..self.width {
                 self.give_triangles(row, word, sink);
             }
