@@ -9,6 +9,7 @@
 
 mod atomic;
 mod exit;
+mod folder;
 mod interrupt;
 mod join;
 mod journal;
@@ -19,6 +20,7 @@ mod shard;
 
 pub use atomic::{AtomicFile, sync_folder, write_atomic};
 pub use exit::ExitCode;
+pub use folder::AtomicFolder;
 pub use interrupt::Interrupt;
 pub use join::{Joined, join};
 pub use journal::{FolderLock, Header, Journal, JournalError, Journals, STATE_FOLDER};

@@ -61,6 +61,21 @@ impl Ellipsoid {
         self.a * c / (1.0 - self.e2() * s * s).sqrt()
     }
 
+    /// Geocentric coordinates (x to longitude 0, y to 90 degrees east, z to the north pole) of a position at a
+    /// height above the ellipsoid, metres.
+    #[must_use]
+    pub fn geocentric(&self, at: LonLat, height_m: f64) -> [f64; 3] {
+        let (phi, lambda) = (at.lat_deg.to_radians(), at.lon_deg.to_radians());
+        let (s, c) = (libm::sin(phi), libm::cos(phi));
+        let normal = self.a / (1.0 - self.e2() * s * s).sqrt();
+        let across = (normal + height_m) * c;
+        [
+            across * libm::cos(lambda),
+            across * libm::sin(lambda),
+            (normal * (1.0 - self.e2()) + height_m) * s,
+        ]
+    }
+
     /// Isometric latitude `asinh(tan phi) - e atanh(e sin phi)` of a latitude in degrees; infinite
     /// at the poles.
     #[must_use]

@@ -95,14 +95,7 @@ fn geocentric(ellipsoid: &Ellipsoid, at: LonLat) -> Result<[f64; 3], CrsError> {
             what: format!("longitude {lon_deg}, latitude {lat_deg}"),
         });
     }
-    let (phi, lambda) = (lat_deg.to_radians(), lon_deg.to_radians());
-    let (s, c) = (libm::sin(phi), libm::cos(phi));
-    let normal = ellipsoid.a / (1.0 - ellipsoid.e2() * s * s).sqrt();
-    Ok([
-        normal * c * libm::cos(lambda),
-        normal * c * libm::sin(lambda),
-        normal * (1.0 - ellipsoid.e2()) * s,
-    ])
+    Ok(ellipsoid.geocentric(at, 0.0))
 }
 
 /// Geographic coordinates of a geocentric position near the ellipsoid; its height is dropped.

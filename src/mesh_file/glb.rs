@@ -4,17 +4,12 @@
 //! shape never varies, the Khronos validator checks it in the tests, and typed structures would be a
 //! dependency of three more crates.
 
+use super::container::{FLOAT, INDICES, Layout, UNSIGNED_INT, UNSIGNED_SHORT, VERTICES, bounds};
 use super::{MeshFileError, MeshGeoreference, check, frame_name, put, texture};
 use sat3d_model::Image8;
 use sat3d_model::mesh::{Mesh, MeshFrame};
 use serde_json::{Map, Value, json};
 use std::io::Write;
-
-const FLOAT: u32 = 5126;
-const UNSIGNED_SHORT: u32 = 5123;
-const UNSIGNED_INT: u32 = 5125;
-const VERTICES: u32 = 34962;
-const INDICES: u32 = 34963;
 
 /// Writes a mesh as binary glTF.
 ///
@@ -50,46 +45,35 @@ pub fn write_glb(
     let normals = (places.is_none() && colors.is_none()).then(|| normals(mesh));
 
     let count = mesh.vertices.len() as u64;
-    let mut document = Document::default();
+    let mut layout = Layout::default();
     let mut attributes = Map::new();
-    let positions = document.view(12 * count, Some(VERTICES));
+    let positions = layout.view(12 * count, Some(VERTICES));
     let [low, high] = bounds(mesh.vertices.iter().map(|vertex| turn(*vertex)));
-    let position = document.accessor(positions, FLOAT, count, "VEC3", Some([low, high]));
+    let position = layout.accessor(positions, FLOAT, count, "VEC3", Some([low, high]));
     attributes.insert("POSITION".into(), position.into());
     if normals.is_some() {
-        let view = document.view(12 * count, Some(VERTICES));
-        let normal = document.accessor(view, FLOAT, count, "VEC3", None);
+        let view = layout.view(12 * count, Some(VERTICES));
+        let normal = layout.accessor(view, FLOAT, count, "VEC3", None);
         attributes.insert("NORMAL".into(), normal.into());
     }
     if colors.is_some() {
-        let view = document.view(8 * count, Some(VERTICES));
-        let color = document.accessor(view, UNSIGNED_SHORT, count, "VEC4", None);
-        document.accessors[color]["normalized"] = true.into();
+        let view = layout.view(8 * count, Some(VERTICES));
+        let color = layout.accessor(view, UNSIGNED_SHORT, count, "VEC4", None);
+        layout.accessors[color]["normalized"] = true.into();
         attributes.insert("COLOR_0".into(), color.into());
     }
     if places.is_some() {
-        let view = document.view(8 * count, Some(VERTICES));
-        let place = document.accessor(view, FLOAT, count, "VEC2", None);
+        let view = layout.view(8 * count, Some(VERTICES));
+        let place = layout.accessor(view, FLOAT, count, "VEC2", None);
         attributes.insert("TEXCOORD_0".into(), place.into());
     }
     let corners = 3 * mesh.triangles.len() as u64;
-    let view = document.view(4 * corners, Some(INDICES));
-    let indices = document.accessor(view, UNSIGNED_INT, corners, "SCALAR", None);
-    let image = picture.as_ref().map(|png| document.view(png.len() as u64, None));
+    let view = layout.view(4 * corners, Some(INDICES));
+    let indices = layout.accessor(view, UNSIGNED_INT, corners, "SCALAR", None);
+    let image = picture.as_ref().map(|png| layout.view(png.len() as u64, None));
 
-    let json = document.json(attributes, indices, image, mesh, georeference);
-    let mut json = json.to_string().into_bytes();
-    json.resize(json.len().next_multiple_of(4), b' ');
-    let (json_length, length) = (json.len() as u64, document.length);
-    let total = total(json_length, length)?;
-    // Both parts fit if their sum does.
-    let (json_length, length) = (json_length as u32, length as u32);
-    out.write_all(b"glTF")?;
-    out.write_all(&[2, total, json_length].map(u32::to_le_bytes).concat())?;
-    out.write_all(b"JSON")?;
-    out.write_all(&json)?;
-    out.write_all(&length.to_le_bytes())?;
-    out.write_all(b"BIN\0")?;
+    let json = json(&layout, attributes, indices, image, mesh, georeference);
+    layout.start(&json, out)?;
 
     let floats = |values: &[f32], buffer: &mut Vec<u8>| {
         buffer.extend(values.iter().flat_map(|value| value.to_le_bytes()));
@@ -118,114 +102,58 @@ pub fn write_glb(
     Ok(())
 }
 
-/// Bytes of the whole file; glTF states them in 32 bits.
-fn total(json: u64, binary: u64) -> Result<u32, MeshFileError> {
-    let found = 12 + 8 + json + 8 + binary;
-    u32::try_from(found).map_err(|_| MeshFileError::TooLarge {
-        format: "glb",
-        what: "bytes",
-        found,
-        most: u32::MAX.into(),
-        instead: "write a ply",
-    })
-}
-
-#[derive(Default)]
-struct Document {
-    views: Vec<Value>,
-    accessors: Vec<Value>,
-    length: u64,
-}
-
-impl Document {
-    fn view(&mut self, length: u64, target: Option<u32>) -> usize {
-        let mut view = json!({ "buffer": 0, "byteOffset": self.length, "byteLength": length });
-        if let Some(target) = target {
-            view["target"] = target.into();
-        }
-        self.length += length.next_multiple_of(4);
-        self.views.push(view);
-        self.views.len() - 1
+fn json(
+    layout: &Layout,
+    attributes: Map<String, Value>,
+    indices: usize,
+    image: Option<usize>,
+    mesh: &Mesh,
+    georeference: Option<&MeshGeoreference>,
+) -> Value {
+    let axes = match mesh.frame {
+        MeshFrame::EastNorthUp => "metres, x east, y up, z south",
+        MeshFrame::Reference => super::axes(mesh.frame),
+    };
+    let mut extras = json!({ "frame": frame_name(mesh.frame), "axes": axes });
+    if let Some(MeshGeoreference { origin, vertical_exaggeration }) = georeference {
+        extras["origin_longitude_deg"] = json!(origin.lon_deg);
+        extras["origin_latitude_deg"] = json!(origin.lat_deg);
+        extras["origin_crs"] = json!("EPSG:4326");
+        extras["vertical_exaggeration"] = json!(vertical_exaggeration);
     }
-
-    fn accessor(
-        &mut self,
-        view: usize,
-        component: u32,
-        count: u64,
-        kind: &str,
-        bounds: Option<[[f32; 3]; 2]>,
-    ) -> usize {
-        let mut accessor = json!({
-            "bufferView": view, "componentType": component, "count": count, "type": kind,
-        });
-        if let Some([low, high]) = bounds {
-            accessor["min"] = json!(low);
-            accessor["max"] = json!(high);
-        }
-        self.accessors.push(accessor);
-        self.accessors.len() - 1
+    let unlit = !attributes.contains_key("NORMAL");
+    let mut material = json!({
+        "pbrMetallicRoughness": { "metallicFactor": 0.0, "roughnessFactor": 1.0 },
+    });
+    let mut document = json!({
+        "asset": { "version": "2.0", "generator": "sat3d" },
+        "scene": 0,
+        "scenes": [{ "nodes": [0], "extras": extras }],
+        "nodes": [{ "mesh": 0 }],
+        "meshes": [{
+            "primitives": [{ "attributes": attributes, "indices": indices, "material": 0 }],
+        }],
+    });
+    if unlit {
+        document["extensionsUsed"] = json!(["KHR_materials_unlit"]);
+        material["extensions"] = json!({ "KHR_materials_unlit": {} });
+    } else {
+        material["pbrMetallicRoughness"]["baseColorFactor"] = json!([0.6, 0.6, 0.6, 1.0]);
     }
-
-    fn json(
-        &self,
-        attributes: Map<String, Value>,
-        indices: usize,
-        image: Option<usize>,
-        mesh: &Mesh,
-        georeference: Option<&MeshGeoreference>,
-    ) -> Value {
-        let axes = match mesh.frame {
-            MeshFrame::EastNorthUp => "metres, x east, y up, z south",
-            MeshFrame::Reference => super::axes(mesh.frame),
-        };
-        let mut extras = json!({ "frame": frame_name(mesh.frame), "axes": axes });
-        if let Some(MeshGeoreference { origin, vertical_exaggeration }) = georeference {
-            extras["origin_longitude_deg"] = json!(origin.lon_deg);
-            extras["origin_latitude_deg"] = json!(origin.lat_deg);
-            extras["origin_crs"] = json!("EPSG:4326");
-            extras["vertical_exaggeration"] = json!(vertical_exaggeration);
-        }
-        let unlit = !attributes.contains_key("NORMAL");
-        let mut material = json!({
-            "pbrMetallicRoughness": { "metallicFactor": 0.0, "roughnessFactor": 1.0 },
-        });
-        let mut document = json!({
-            "asset": { "version": "2.0", "generator": "sat3d" },
-            "scene": 0,
-            "scenes": [{ "nodes": [0], "extras": extras }],
-            "nodes": [{ "mesh": 0 }],
-            "meshes": [{
-                "primitives": [{ "attributes": attributes, "indices": indices, "material": 0 }],
-            }],
-        });
-        if unlit {
-            document["extensionsUsed"] = json!(["KHR_materials_unlit"]);
-            material["extensions"] = json!({ "KHR_materials_unlit": {} });
-        } else {
-            material["pbrMetallicRoughness"]["baseColorFactor"] = json!([0.6, 0.6, 0.6, 1.0]);
-        }
-        if let Some(view) = image {
-            material["pbrMetallicRoughness"]["baseColorTexture"] = json!({ "index": 0 });
-            document["textures"] = json!([{ "sampler": 0, "source": 0 }]);
-            document["images"] = json!([{ "bufferView": view, "mimeType": "image/png" }]);
-            // Linear, and no repetition beyond the image's edge.
-            document["samplers"] = json!([{
-                "magFilter": 9729, "minFilter": 9729, "wrapS": 33071, "wrapT": 33071,
-            }]);
-        }
-        document["materials"] = json!([material]);
-        document["accessors"] = json!(self.accessors);
-        document["bufferViews"] = json!(self.views);
-        document["buffers"] = json!([{ "byteLength": self.length }]);
-        document
+    if let Some(view) = image {
+        material["pbrMetallicRoughness"]["baseColorTexture"] = json!({ "index": 0 });
+        document["textures"] = json!([{ "sampler": 0, "source": 0 }]);
+        document["images"] = json!([{ "bufferView": view, "mimeType": "image/png" }]);
+        // Linear, and no repetition beyond the image's edge.
+        document["samplers"] = json!([{
+            "magFilter": 9729, "minFilter": 9729, "wrapS": 33071, "wrapT": 33071,
+        }]);
     }
-}
-
-fn bounds(vertices: impl Iterator<Item = [f32; 3]>) -> [[f32; 3]; 2] {
-    vertices.fold([[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]], |[low, high], vertex| {
-        [[0, 1, 2].map(|k| low[k].min(vertex[k])), [0, 1, 2].map(|k| high[k].max(vertex[k]))]
-    })
+    document["materials"] = json!([material]);
+    document["accessors"] = json!(layout.accessors);
+    document["bufferViews"] = json!(layout.views);
+    document["buffers"] = json!([{ "byteLength": layout.length }]);
+    document
 }
 
 /// Unit normals of the vertices: the sum of their triangles' normals, by area.
@@ -282,13 +210,5 @@ mod tests {
             };
             assert_eq!((back * 255.0).round() as usize, value);
         }
-    }
-
-    #[test]
-    fn four_gibibytes_are_the_limit() {
-        let most = u64::from(u32::MAX) - 28;
-        assert_eq!(total(1000, most - 1000).ok(), Some(u32::MAX));
-        let error = total(1000, most - 999).expect_err("too large");
-        assert!(error.to_string().contains("4294967296 bytes"), "{error}");
     }
 }

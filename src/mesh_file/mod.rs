@@ -10,6 +10,7 @@
 //!
 //! The writers stream: they hold nothing of the mesh's size, but for normals of a mesh without colours in a glb.
 
+pub(crate) mod container;
 mod glb;
 mod obj;
 mod ply;
