@@ -1,11 +1,13 @@
 //! Writing GeoTIFF in pure Rust: [`GeoTiffWriter`] streams rasters of any size into a file,
 //! [`encode_cog`] makes a Cloud Optimized GeoTIFF in memory. One band of 32-bit floats; the same
-//! bytes on every machine and for any number of threads. See `docs/formats.md`.
+//! bytes on every machine and for any number of threads. [`RgbWriter`] streams pictures in the same way.
+//! See `docs/formats.md`.
 
 mod cog;
 mod geographic;
 mod geokeys;
 mod predictor;
+mod rgb;
 mod tags;
 mod tiles;
 mod writer;
@@ -15,6 +17,7 @@ mod tests;
 
 pub use cog::{CogSpec, encode_cog};
 pub use predictor::Compression;
+pub use rgb::RgbWriter;
 pub use writer::{GeoTiffSpec, GeoTiffWriter, Layout};
 
 use crate::units::LinearUnit;

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 
 /// Raw bytes from which a file is BigTIFF: well under the 4 GiB of classic TIFF, because data that
 /// do not compress grow a little and the directory comes on top.
-const BIG_FROM_BYTES: u64 = 3_500_000_000;
+pub(super) const BIG_FROM_BYTES: u64 = 3_500_000_000;
 /// Rows that are compressed at once at least, so that strips keep all cores busy too.
 const BATCH_ROWS: u32 = 256;
 /// A strip or tile above this is a mistake: readers have to hold one whole.
@@ -71,7 +71,7 @@ impl Default for GeoTiffSpec {
 }
 
 impl GeoTiffSpec {
-    fn check(&self, path: &Path) -> Result<(), GeoTiffError> {
+    pub(super) fn check(&self, path: &Path) -> Result<(), GeoTiffError> {
         let fail = |item, value: String, rule| {
             Err(GeoTiffError::Spec { path: path.to_owned(), item, value, rule })
         };
@@ -110,7 +110,7 @@ impl GeoTiffSpec {
         Ok(())
     }
 
-    fn cut(&self) -> Cut {
+    pub(super) fn cut(&self) -> Cut {
         let (chunk_width, chunk_height, tiled) = match self.layout {
             Layout::Tiles(size) => (size, size, true),
             Layout::Strips(rows) => (self.width, rows.min(self.height), false),
@@ -118,7 +118,7 @@ impl GeoTiffSpec {
         Cut { width: self.width, height: self.height, chunk_width, chunk_height, tiled }
     }
 
-    fn directory(&self, cut: &Cut, places: &Places) -> Directory {
+    pub(super) fn directory(&self, cut: &Cut, places: &Places) -> Directory {
         let mut directory = Directory::default();
         cut.set_layout(&mut directory, self.compression, places);
         geokeys::set_geotransform(&mut directory, &self.geotransform);
