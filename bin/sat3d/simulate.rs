@@ -25,8 +25,9 @@ Examples:
   sat3d simulate pipelines/scenes/city_3km.toml --out city
 
 Writes lidar/ (surface), lidar_dtm/ (bare earth), vigor/ (images and labels), truth/ (exact heights
-on each image's pixels: key `dsm` in metres, `dtm`, `smooth`, `class`) and scene.json; with [picture] in the
-scene file also picture.tif, one picture of the whole city, and picture_dsm.tif, its exact heights.")]
+on each image's pixels: key `dsm` in metres, `dtm`, `smooth`, `class`) and scene.json; with a table
+[picture] in the scene file also picture.tif, one picture of the whole city, and picture_dsm.tif,
+the exact heights on its pixels.")]
 pub struct Args {
     /// The scene file.
     #[arg(value_name = "SCENE.toml")]

@@ -344,6 +344,17 @@ mod tests {
                 vec!["centres_degrees[0]", "latitude comes first"],
             ),
             ("[terrain]\nrelief_metres = 500", vec!["terrain.relief_metres = 500", "steeper"]),
+            ("[picture]\nzoom = 30", vec!["picture.zoom = 30"]),
+            (
+                "[picture]\nzoom = 20\npixel_metres = 0.3",
+                vec!["picture.pixel_metres = 0.3", "leave one of the two out"],
+            ),
+            ("[picture]\nwidth_metres = 400", vec!["picture.width_metres = 400", "280"]),
+            ("[picture]\ntruth_spacing_pixels = 0", vec!["picture.truth_spacing_pixels = 0"]),
+            (
+                "[extent]\nwidth_metres = 5000\nheight_metres = 6000\n[picture]\npixel_metres = 0.1",
+                vec!["picture = 50000 x 60000 pixels", "2147483648", "pixel_metres"],
+            ),
         ] {
             let message = error(text);
             assert!(message.starts_with("city.toml: "), "{message}");

@@ -70,8 +70,7 @@ impl PictureGrid {
     pub fn new(scene: &Scene) -> Result<Option<Self>, SceneError> {
         let Some(spec) = &scene.spec.picture else { return Ok(None) };
         let place = &scene.spec.place;
-        let center =
-            LonLat { lon_deg: place.longitude_degrees, lat_deg: place.latitude_degrees };
+        let center = LonLat { lon_deg: place.longitude_degrees, lat_deg: place.latitude_degrees };
         let base = ImageGrid::new(center, spec.zoom.unwrap_or(ZOOM), 2, 2)?;
         let pixel_m = spec.pixel_size(place.latitude_degrees);
         let pixel = spec.pixel_metres.map_or(1.0, |metres| metres / base.ground_sample_distance());
@@ -311,4 +310,187 @@ fn heights(scene: &Scene, grid: &PictureGrid, rows: &Range<u32>) -> Result<Vec<f
         Ok::<(), SceneError>(())
     })?;
     Ok(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::effects::Options;
+    use crate::scene::lidar::{Layer, Survey};
+    use crate::scene::spec::{SceneSpec, SunSpec};
+    use crate::scene::truth::Truth;
+
+    fn scene(change: impl FnOnce(&mut SceneSpec)) -> Scene {
+        let mut spec = SceneSpec::default();
+        spec.extent.width_metres = 60.0;
+        spec.extent.height_metres = 40.0;
+        spec.sun = Some(SunSpec { azimuth_degrees: 200.0, elevation_degrees: 50.0 });
+        spec.picture = Some(PictureSpec::default());
+        change(&mut spec);
+        Scene::new(spec, &Options::default()).expect("a scene")
+    }
+
+    fn grid(scene: &Scene) -> PictureGrid {
+        PictureGrid::new(scene).expect("fits").expect("a picture")
+    }
+
+    fn all(scene: &Scene, grid: &PictureGrid) -> Vec<u8> {
+        grid.bands()
+            .flat_map(|rows| colours(scene, grid, &rows, &Interrupt::default()).expect("renders"))
+            .collect()
+    }
+
+    /// Share of equal bytes, and the largest difference.
+    fn compare(a: &[u8], b: &[u8]) -> (f64, u8) {
+        assert_eq!(a.len(), b.len());
+        let pairs = || a.iter().zip(b);
+        let same = pairs().filter(|(a, b)| a == b).count() as f64 / a.len() as f64;
+        (same, pairs().map(|(a, b)| a.abs_diff(*b)).max().unwrap_or(0))
+    }
+
+    #[test]
+    fn the_picture_is_the_satellite_image_where_both_lie() {
+        let scene = scene(|_| {});
+        let grid = grid(&scene);
+        let [width, height] = grid.size().map(|n| n as usize);
+        // 60 x 40 m less what the turned corners and two lidar cells around take.
+        assert!((540..=580).contains(&width) && (340..=380).contains(&height), "{width} {height}");
+        let picture = all(&scene, &grid);
+        let side = 200;
+        let image =
+            ImageGrid::new(grid.base.center(), 20, side as u32, side as u32).expect("a grid");
+        let pixels = PixelPositions::new(&image, &scene.frame, 2).expect("projects");
+        let rendered = scene.render(&pixels, 1);
+        let (x, y) = ((width - side) / 2, (height - side) / 2);
+        let inner = |rgb: &[u8], width: usize, x: usize, y: usize| -> Vec<u8> {
+            // The image's outermost pixels have no neighbours to tell an edge by.
+            (1..side - 1)
+                .flat_map(|row| rgb[((y + row) * width + x + 1) * 3..][..(side - 2) * 3].to_vec())
+                .collect()
+        };
+        let (same, worst) = compare(&inner(&picture, width, x, y), &inner(&rendered, side, 0, 0));
+        assert!(same > 0.999, "{same} {worst}");
+        // It is a picture: neighbours by one pixel are not the same.
+        let (shifted, _) =
+            compare(&inner(&picture, width, x + 1, y), &inner(&rendered, side, 0, 0));
+        assert!(shifted < 0.9, "{shifted}");
+        let truth = Truth::new(&scene, &pixels).dsm;
+        let rows = y as u32..(y + side) as u32;
+        let heights = heights(&scene, &grid, &rows).expect("projects");
+        let mut other = 0;
+        for (ours, theirs) in heights.chunks_exact(width).zip(truth.chunks_exact(side)) {
+            let pairs = ours[x..x + side].iter().zip(theirs);
+            other += pairs.filter(|(a, b)| (*a - *b).abs() > 1e-5).count();
+        }
+        assert!(other <= side * side / 1000, "{other}");
+    }
+
+    #[test]
+    fn the_truth_is_the_survey_at_the_same_place() {
+        let scene = scene(|_| {});
+        let truth = grid(&scene).truth(2.5);
+        let [width, height] = truth.size();
+        assert_eq!(grid(&scene).size(), [width, height].map(|n| n * 5 / 2));
+        let heights = heights(&scene, &truth, &(0..height)).expect("projects");
+        let survey = Survey::new(&scene);
+        let cell = 1.5 * US_SURVEY_FOOT_M;
+        let to_pixel = truth.geotransform();
+        let (mut near, mut count) = (0, 0);
+        for (column, row) in (-30..30).flat_map(|c| (-30..30).map(move |r| (c, r))) {
+            let (x, y) = ((f64::from(column) + 0.5) * cell, -(f64::from(row) + 0.5) * cell);
+            let at = scene.frame.to_lonlat(x, y).expect("inverse");
+            // By EPSG:3857's own formula and the geotransform that is in the file.
+            let radius = crate::grid::WGS84_A;
+            let projected = crate::grid::Projected {
+                x: radius * at.lon_deg.to_radians(),
+                y: radius * libm::asinh(libm::tan(at.lat_deg.to_radians())),
+            };
+            let p = to_pixel.to_pixel(projected);
+            let i = p.y.floor() as usize * width as usize + p.x.floor() as usize;
+            let z = survey.height(Layer::Dsm, column, row).expect("a height");
+            count += 1;
+            // Half a truth pixel of 0.25 m off, but for edges and crowns.
+            near += usize::from((f64::from(heights[i]) - z).abs() < 0.1);
+        }
+        assert!(near as f64 > 0.75 * f64::from(count), "{near} of {count}");
+    }
+
+    #[test]
+    fn parts_that_are_rendered_apart_join_without_a_seam() {
+        // 1140 pixels: more than one block.
+        let scene = scene(|s| {
+            let size = PictureSpec { pixel_metres: Some(0.05), ..PictureSpec::default() };
+            s.picture = Some(PictureSpec { height_metres: Some(16.0), ..size });
+        });
+        let grid = grid(&scene);
+        let [width, height] = grid.size();
+        assert!(width > BLOCK_COLUMNS + 20 && height > BAND_ROWS + 20, "{width} {height}");
+        let picture = all(&scene, &grid);
+        let window = [BLOCK_COLUMNS - 20..BLOCK_COLUMNS + 20, BAND_ROWS - 20..BAND_ROWS + 20];
+        let pixels = PixelPositions::of_window(&window, &scene.frame, 1, |p| grid.lonlat(p))
+            .expect("projects");
+        let sheet = Sheet { halo: 1, seed: 0, first: 0, pitch: 0 };
+        let part = scene.render_sheet(&pixels, &sheet);
+        let [columns, rows] = window;
+        let joined: Vec<u8> = rows
+            .flat_map(|row| {
+                let start = (row * width + columns.start) as usize * 3;
+                picture[start..start + columns.len() * 3].to_vec()
+            })
+            .collect();
+        let (same, worst) = compare(&joined, &part);
+        assert!(same > 0.998, "{same} {worst}");
+    }
+
+    #[test]
+    fn noise_is_of_its_place_in_the_picture_and_of_the_seed() {
+        let noisy = |seed| {
+            let scene = scene(|s| {
+                s.images.sensor_noise_levels = 4.0;
+                s.seed = seed;
+                s.picture = Some(PictureSpec { zoom: Some(18), ..PictureSpec::default() });
+            });
+            all(&scene, &grid(&scene))
+        };
+        let first = noisy(1);
+        assert_eq!(first, noisy(1));
+        assert_ne!(first, noisy(2));
+        let clean = scene(|s| {
+            s.picture = Some(PictureSpec { zoom: Some(18), ..PictureSpec::default() });
+        });
+        let (same, _) = compare(&first, &all(&clean, &grid(&clean)));
+        assert!(same < 0.3, "{same}");
+    }
+
+    #[test]
+    fn sizes_are_as_asked_or_refused() {
+        let asked = |width, height, metres| {
+            let scene = scene(|s| {
+                s.picture = Some(PictureSpec {
+                    width_metres: width,
+                    height_metres: height,
+                    pixel_metres: metres,
+                    ..PictureSpec::default()
+                });
+            });
+            PictureGrid::new(&scene).map(|grid| grid.expect("a picture"))
+        };
+        let grid = asked(Some(30.0), Some(20.0), Some(0.25)).expect("fits");
+        assert_eq!(grid.size(), [120, 80]);
+        assert!((grid.ground_sample_distance() - 0.25).abs() < 1e-12);
+        let corner = grid.geotransform();
+        assert!((corner.0[1] * libm::cos(47.6097_f64.to_radians()) - 0.25).abs() < 1e-12);
+        // Only the side that is not given gives way.
+        let grid = asked(Some(30.0), None, Some(0.1)).expect("fits");
+        assert!(grid.size()[0] == 300 && grid.size()[1] >= 340, "{:?}", grid.size());
+        for (width, height, metres) in [
+            (Some(60.0), Some(40.0), Some(0.1)),
+            (Some(60.0), None, Some(0.1)),
+            (None, None, Some(3.0)),
+        ] {
+            let error = asked(width, height, metres).expect_err("does not fit").to_string();
+            assert!(error.contains("60 x 40 m") && error.contains("[extent] larger"), "{error}");
+        }
+        assert_eq!(PictureGrid::new(&scene(|s| s.picture = None)).expect("no picture"), None);
+    }
 }
