@@ -4,7 +4,11 @@
 
 mod common;
 
-use common::{npz, run, sat3d, stderr, stdout};
+use common::{npz, python, run, run_python, sat3d, stderr, stdout};
+use sat3d::footprint::Place;
+use sat3d::grid::PixelPoint;
+use sat3d::picture::{self, Window};
+use sat3d::raster::OpenOptions;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -60,7 +64,7 @@ fn the_same_scene_gives_the_same_bytes_for_any_number_of_threads() {
     let path = scene(
         folder.path(),
         "city",
-        "[sun]\nazimuth_degrees = 150.0\nelevation_degrees = 40.0\n[lidar]\nnoise_sigma_metres = 0.02\n",
+        "[sun]\nazimuth_degrees = 150.0\nelevation_degrees = 40.0\n[lidar]\nnoise_sigma_metres = 0.02\n[picture]\npixel_metres = 0.2\n",
     );
     let (one, four) = (folder.path().join("one"), folder.path().join("four"));
     run(simulate(&path, &one, &[]).env("RAYON_NUM_THREADS", "1"), 0);
@@ -73,6 +77,8 @@ fn the_same_scene_gives_the_same_bytes_for_any_number_of_threads() {
         "vigor/Seattle/satellite/satellite_",
         "truth/satellite_",
         "satellite_list.txt",
+        "picture.tif",
+        "picture_dsm.tif",
     ] {
         assert!(names.iter().any(|name| name.contains(part)), "{part} not in {names:?}");
     }
@@ -139,6 +145,112 @@ fn an_effect_under_the_tolerance_changes_less_than_its_bound_when_forced() {
         a.iter().zip(&b).map(|(a, b)| (a - b).abs()).filter(|d| !d.is_nan()).fold(0.0, f32::max);
     assert!(worst > 0.02, "the noise is there: {worst}");
     assert!(worst <= 0.04 + 1e-5, "cut at 4 sigma: {worst}");
+}
+
+/// A scene with one satellite image and a picture around the same place, on the same pixels.
+fn scene_with_picture(folder: &Path) -> PathBuf {
+    let path = folder.join("whole.toml");
+    let text = "seed = 7\n[extent]\nwidth_metres = 90.0\nheight_metres = 80.0\n\
+        [sun]\nazimuth_degrees = 150.0\nelevation_degrees = 40.0\n\
+        [images]\nsize_pixels = 320\ncentres_degrees = [[47.6097, -122.3331]]\n[picture]\n";
+    fs::write(&path, text).unwrap();
+    path
+}
+
+fn only_file(folder: &Path) -> PathBuf {
+    let mut files = fs::read_dir(folder).unwrap().map(|item| item.unwrap().path());
+    let first = files.next().unwrap();
+    assert!(files.next().is_none());
+    first
+}
+
+#[test]
+fn the_picture_of_the_whole_extent_agrees_with_the_image_and_its_truth() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let path = scene_with_picture(folder.path());
+    run(&mut simulate(&path, &out, &[]), 0);
+    let mut whole = picture::open(&out.join("picture.tif")).unwrap();
+    assert!(whole.warnings().is_empty(), "{:?}", whole.warnings());
+    let mut image = picture::open(&only_file(&out.join("vigor/Seattle/satellite"))).unwrap();
+    // Where the image lies in the picture, by what the two files say of themselves.
+    let grid = |picture: &picture::Picture| match picture.place().unwrap() {
+        Place::Raster { geotransform, crs } => {
+            assert_eq!(crs.epsg, Some(3857));
+            *geotransform
+        }
+        Place::WebMercator(grid) => grid.geotransform(),
+    };
+    let (outer, inner) = (grid(&whole), grid(&image));
+    let corner = outer.to_pixel(inner.to_projected(PixelPoint { x: 0.0, y: 0.0 }));
+    let [x, y] = [corner.x, corner.y].map(f64::round);
+    assert!((corner.x - x).abs() < 1e-4 && (corner.y - y).abs() < 1e-4, "{corner:?}");
+    let side = image.size()[0];
+    let window = Window { x: x as u32, y: y as u32, width: side, height: side };
+    let mut colours = vec![0; (side * side * 3) as usize];
+    whole.read_window(window, &mut colours).unwrap();
+    let expected = image.read().unwrap().data;
+    let other = colours.iter().zip(&expected).filter(|(a, b)| a != b).count();
+    // Edges at the image's border, which has no neighbours to tell them by, and some antialiasing.
+    assert!(other * 200 < colours.len(), "{other} of {} bytes differ", colours.len());
+
+    let truth = npz(&only_file(&out.join("truth")), "dsm");
+    let mut reader =
+        sat3d::raster::open(&out.join("picture_dsm.tif"), &OpenOptions::default()).unwrap();
+    let header = reader.header().clone();
+    assert_eq!([header.width, header.height], whole.size());
+    assert_eq!(header.geotransform, outer);
+    let (mut block, mut apart) = (Vec::new(), 0);
+    let (across, down) = header.blocks();
+    for (bx, by) in (0..down).flat_map(|by| (0..across).map(move |bx| (bx, by))) {
+        reader.read_block(bx, by, &mut block).unwrap();
+        let (left, top) = (bx * header.block_width, by * header.block_height);
+        let width = header.block_width;
+        for (i, height) in (0..).zip(&block) {
+            let (column, row) = (left + i % width, top + i / width);
+            let inside = |v: u32, from: u32| (from..from + side).contains(&v);
+            if inside(column, window.x) && inside(row, window.y) {
+                let index = (row - window.y) * side + column - window.x;
+                apart += usize::from((height - truth[index as usize]).abs() > 1e-4);
+            }
+        }
+    }
+    assert!(apart * 1000 < truth.len(), "{apart} of {} heights differ", truth.len());
+}
+
+#[test]
+fn rasterio_opens_the_picture_and_its_truth() {
+    let test = "rasterio_opens_the_picture_and_its_truth";
+    let Some(python) = python(test, "numpy, rasterio") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let path = scene_with_picture(folder.path());
+    let text = fs::read_to_string(&path).unwrap();
+    fs::write(&path, format!("{text}truth_spacing_pixels = 2.5\n")).unwrap();
+    run(&mut simulate(&path, &out, &[]), 0);
+    let script = "import sys, rasterio
+folder = sys.argv[1]
+with rasterio.open(folder + '/picture.tif') as p, rasterio.open(folder + '/picture_dsm.tif') as d:
+    assert p.count == 3 and p.dtypes == ('uint8',) * 3 and p.crs.to_epsg() == 3857, p.profile
+    assert p.profile['tiled'] and p.block_shapes[0] == (256, 256), p.profile
+    assert p.compression.name == 'deflate' and p.photometric.name == 'rgb', p.profile
+    assert d.count == 1 and d.dtypes == ('float32',) and d.crs.to_epsg() == 3857 and d.units == ('metre',)
+    assert (p.width, p.height) == (d.width * 2.5, d.height * 2.5)
+    assert max(abs(a - b) for a, b in zip(p.bounds, d.bounds)) < 1e-6, (p.bounds, d.bounds)
+    z = d.read(1)
+    assert 20 < z.min() < z.max() < 120, (z.min(), z.max())
+    sys.stdout.buffer.write(bytes(str(p.read().transpose(1, 2, 0).astype('uint64').sum()), 'ascii'))
+";
+    let sum: u64 = run_python(python, script, &[&out]).parse().unwrap();
+    let data = picture::open(&out.join("picture.tif")).unwrap().read().unwrap().data;
+    assert_eq!(sum, data.iter().map(|v| u64::from(*v)).sum::<u64>());
+}
+
+#[test]
+fn the_scene_of_nine_square_kilometres_is_a_scene() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let spec = sat3d::scene::SceneSpec::read(&root.join("pipelines/scenes/city_3km.toml")).unwrap();
+    assert!(spec.picture.is_some() && spec.extent.width_metres == 3000.0);
 }
 
 #[test]

@@ -3,6 +3,7 @@
 use crate::console;
 use sat3d::batch::{ExitCode, Interrupt};
 use sat3d::scene::effects::DEFAULT_TOLERANCE;
+use sat3d::scene::whole::{PICTURE_FILE, TRUTH_FILE};
 use sat3d::scene::{Effect, Options, Scene, SceneError, SceneSpec, Summary, simulate};
 use sat3d::units::Metres;
 use std::fmt::Write as _;
@@ -21,9 +22,12 @@ Examples:
   sat3d simulate pipelines/scenes/quickstart.toml
   sat3d simulate pipelines/scenes/towers_off_nadir.toml --out towers --explain
   sat3d simulate city.toml --out noiseless --without noise
+  sat3d simulate pipelines/scenes/city_3km.toml --out city
 
 Writes lidar/ (surface), lidar_dtm/ (bare earth), vigor/ (images and labels), truth/ (exact heights
-on each image's pixels: key `dsm` in metres, `dtm`, `smooth`, `class`) and scene.json.")]
+on each image's pixels: key `dsm` in metres, `dtm`, `smooth`, `class`) and scene.json; with a table
+[picture] in the scene file also picture.tif, one picture of the whole city, and picture_dsm.tif,
+the exact heights on its pixels.")]
 pub struct Args {
     /// The scene file.
     #[arg(value_name = "SCENE.toml")]
@@ -108,13 +112,21 @@ fn for_people(scene: &Scene, summary: &Summary, seconds: f64) -> String {
         scene.spec.name, summary.objects, summary.tiles, summary.images, summary.panoramas
     );
     let _ = writeln!(text, "  effects  {}", effects.join(", "));
+    let picture = summary.picture.map(|[width, height]| {
+        let size = format!("the whole city, {width} x {height} pixels, EPSG:3857");
+        [(PICTURE_FILE, size), (TRUTH_FILE, "its exact heights, metres".to_owned())]
+    });
     for (folder, what) in [
         ("lidar", "surface, EPSG:2927, US survey feet"),
         ("lidar_dtm", "bare earth"),
         ("vigor", "satellite images and labels"),
         ("truth", "exact heights on each image's pixels, metres"),
         ("scene.json", "everything that was resolved"),
-    ] {
+    ]
+    .map(|(folder, what)| (folder, what.to_owned()))
+    .into_iter()
+    .chain(picture.into_iter().flatten())
+    {
         let _ = writeln!(text, "  {}  {what}", summary.out.join(folder).display());
     }
     text

@@ -9,7 +9,7 @@ use sat3d::mesh_file::MeshFormat;
 use sat3d::model::Device;
 use sat3d::tile::layout::{Blend, WindowOptions};
 use sat3d::tile::{
-    self, CityColor, CityMeshRequest, DsmRequest, TILES3D_ERROR_M, TileLattice, TileOptions,
+    self, CityMeshColour, CityMeshRequest, DsmRequest, TILES3D_ERROR_M, TileLattice, TileOptions,
     TileOutputs, TileSummary, Tiles3dRequest,
 };
 use std::fmt::Write as _;
@@ -233,7 +233,7 @@ fn metres(text: &str) -> Result<f64, String> {
 /// Whatever keeps the run from its work.
 pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     if let Some(Command::Merge(args)) = &args.command {
-        let summary = tile::merge(&args.out, &args.parts)?;
+        let summary = tile::merge(&args.out, &args.parts, console::quiet(), &Interrupt::on_signals())?;
         report(&summary, &args.out, args.json)?;
         return Ok(summary.exit_code());
     }
@@ -318,9 +318,9 @@ impl OutputArgs {
         }
         if let Some(mesh) = &mut outputs.mesh {
             mesh.color = match self.mesh_color {
-                ColorArg::Vertex => CityColor::Vertex,
-                ColorArg::Texture => CityColor::Texture,
-                ColorArg::None => CityColor::None,
+                ColorArg::Vertex => CityMeshColour::Vertices,
+                ColorArg::Texture => CityMeshColour::Texture,
+                ColorArg::None => CityMeshColour::None,
             };
             mesh.error_m = self.error;
             mesh.max_triangles = self.max_triangles;

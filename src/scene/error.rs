@@ -50,6 +50,22 @@ pub enum SceneError {
         /// Height of the scene, metres.
         height: f64,
     },
+    /// The picture of the whole extent does not fit, or has no pixel.
+    #[error(
+        "a picture of {picture_width:.1} x {picture_height:.1} m does not fit upright into a scene of {width} x {height} m whose grid is turned by {turn_degrees:.2} degrees; make [extent] larger, or width_metres, height_metres and the pixels of [picture] smaller"
+    )]
+    NoPicture {
+        /// Width of the picture, metres; of one without a given width, the least there can be.
+        picture_width: f64,
+        /// Height of the picture, metres.
+        picture_height: f64,
+        /// Width of the scene, metres.
+        width: f64,
+        /// Height of the scene, metres.
+        height: f64,
+        /// Angle from the scene's north to true north, degrees.
+        turn_degrees: f64,
+    },
     /// A position cannot be projected.
     #[error(transparent)]
     Crs(#[from] CrsError),

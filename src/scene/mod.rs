@@ -10,7 +10,7 @@
 //! * [`effects`]: the plan; each effect has a bound, a cost and a cause.
 //! * [`terrain`], [`streets`], [`layout`], [`solid`], [`world`], `epoch`: the scene itself.
 //! * `render`, `ground`, `materials`, `shadows`: pictures.
-//! * [`lidar`], [`truth`], [`vigor_files`], [`simulate()`]: what is written.
+//! * [`lidar`], [`truth`], [`vigor_files`], [`whole`], [`simulate()`]: what is written.
 
 pub mod effects;
 mod epoch;
@@ -37,6 +37,7 @@ pub mod terrain;
 pub mod truth;
 mod validate;
 pub mod vigor_files;
+pub mod whole;
 pub mod world;
 
 pub use effects::{Effect, Options};
@@ -63,4 +64,5 @@ mod purpose {
     pub const GAPS: u64 = 10;
     pub const PANORAMAS: u64 = 11;
     pub const SENSOR: u64 = 12;
+    pub const PICTURE: u64 = 13;
 }

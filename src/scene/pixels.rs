@@ -2,41 +2,59 @@
 
 use super::error::SceneError;
 use super::frame::Frame;
-use crate::grid::{ImageGrid, PixelPoint};
+use crate::grid::{ImageGrid, LonLat, PixelPoint};
 use rayon::prelude::*;
+use std::ops::Range;
 
-/// Local positions of the pixel centres of an image and of a margin around it.
+/// Local positions of the pixel centres of an image, or of a window of one, and of a margin around it.
 #[derive(Clone, Debug)]
 pub struct PixelPositions {
-    side: usize,
+    width: usize,
+    height: usize,
     margin: usize,
     at: Vec<[f64; 2]>,
 }
 
 impl PixelPositions {
-    /// Projects every pixel centre of a square image, and `margin` pixels more on each side.
+    /// Projects every pixel centre of an image, and `margin` pixels more on each side.
     ///
     /// # Errors
     /// [`SceneError::Crs`] where the projection is undefined.
     pub fn new(grid: &ImageGrid, frame: &Frame, margin: usize) -> Result<Self, SceneError> {
-        let size = grid.width() as usize;
-        let side = size + 2 * margin;
-        let mut at = vec![[0.0; 2]; side * side];
-        at.par_chunks_mut(side).enumerate().try_for_each(|(row, out)| {
-            let y = row as f64 - margin as f64 + 0.5;
+        let window = [0..grid.width(), 0..grid.height()];
+        Self::of_window(&window, frame, margin, |p| grid.lonlat(p))
+    }
+
+    /// Projects the pixel centres of a window (columns, rows) of a grid, and `margin` pixels more on each
+    /// side; `lonlat` is where a pixel coordinate of the grid lies.
+    ///
+    /// # Errors
+    /// [`SceneError::Crs`] where the projection is undefined.
+    pub fn of_window(
+        [columns, rows]: &[Range<u32>; 2],
+        frame: &Frame,
+        margin: usize,
+        lonlat: impl Fn(PixelPoint) -> LonLat + Sync,
+    ) -> Result<Self, SceneError> {
+        let (width, height) = (columns.len() + 2 * margin, rows.len() + 2 * margin);
+        let (west, north) =
+            (f64::from(columns.start) - margin as f64, f64::from(rows.start) - margin as f64);
+        let mut at = vec![[0.0; 2]; width * height];
+        at.par_chunks_mut(width).enumerate().try_for_each(|(row, out)| {
+            let y = north + row as f64 + 0.5;
             for (column, place) in out.iter_mut().enumerate() {
-                let x = column as f64 - margin as f64 + 0.5;
-                *place = frame.to_local(grid.lonlat(PixelPoint { x, y }))?;
+                let x = west + column as f64 + 0.5;
+                *place = frame.to_local(lonlat(PixelPoint { x, y }))?;
             }
             Ok::<(), SceneError>(())
         })?;
-        Ok(Self { side, margin, at })
+        Ok(Self { width, height, margin, at })
     }
 
-    /// Pixels along a side, with the margins.
+    /// Columns and rows, with the margins.
     #[must_use]
-    pub const fn side(&self) -> usize {
-        self.side
+    pub const fn size(&self) -> [usize; 2] {
+        [self.width, self.height]
     }
 
     /// Pixels of margin on each side.
@@ -48,16 +66,16 @@ impl PixelPositions {
     /// A row of positions, margins included; row 0 is the northernmost of the margin.
     #[must_use]
     pub fn row(&self, row: usize) -> &[[f64; 2]] {
-        &self.at[row * self.side..(row + 1) * self.side]
+        &self.at[row * self.width..(row + 1) * self.width]
     }
 
-    /// Steps from a pixel to its right and to its lower neighbour in the middle of the image,
-    /// metres: within an image the grid is affine to 0.2 mm.
+    /// Steps from a pixel to its right and to its lower neighbour in the middle, metres: within an image
+    /// the grid is affine to 0.2 mm. There have to be two columns and rows, margins included.
     #[must_use]
     pub fn steps(&self) -> [[f64; 2]; 2] {
-        let middle = self.side / 2;
-        let here = self.row(middle)[middle];
-        let (right, below) = (self.row(middle)[middle - 1], self.row(middle - 1)[middle]);
+        let [column, row] = self.size().map(|n| n / 2);
+        let here = self.row(row)[column];
+        let (right, below) = (self.row(row)[column - 1], self.row(row - 1)[column]);
         [[here[0] - right[0], here[1] - right[1]], [here[0] - below[0], here[1] - below[1]]]
     }
 }

@@ -30,41 +30,63 @@ struct Light {
     sun: Colour,
 }
 
+/// How a part of a picture is rendered.
+#[derive(Clone, Copy, Debug)]
+pub struct Sheet {
+    /// Pixels of the margin that are looked at for edges; none is rendered.
+    pub halo: usize,
+    /// Seed of the sensor's noise.
+    pub seed: u64,
+    /// Number of the first pixel, in rows of `pitch` pixels: the noise of a pixel hangs on its number.
+    pub first: u64,
+    /// Pixels of a row of the whole picture.
+    pub pitch: u64,
+}
+
 impl Scene {
     /// Renders an image, 3 bytes per pixel, row 0 in the north.
     #[must_use]
     pub fn render(&self, pixels: &PixelPositions, image_seed: u64) -> Vec<u8> {
-        let (side, margin) = (pixels.side(), pixels.margin());
-        let size = side - 2 * margin;
+        let pitch = (pixels.size()[0] - 2 * pixels.margin()) as u64;
+        self.render_sheet(pixels, &Sheet { halo: 0, seed: image_seed, first: 0, pitch })
+    }
+
+    /// Renders a part of a picture. With a halo it is the same as in any larger part.
+    #[must_use]
+    pub(super) fn render_sheet(&self, pixels: &PixelPositions, sheet: &Sheet) -> Vec<u8> {
+        let (margin, halo) = (pixels.margin(), sheet.halo);
+        let [width, height] = pixels.size().map(|n| n - 2 * margin);
+        let [across, down] = [width, height].map(|n| n + 2 * halo);
         let light = self.light();
-        let samples: Vec<Sample> = (0..size)
+        let samples: Vec<Sample> = (0..down)
             .into_par_iter()
             .flat_map_iter(|row| {
-                let positions = &pixels.row(row + margin)[margin..margin + size];
+                let positions = &pixels.row(row + margin - halo)[margin - halo..][..across];
                 let light = &light;
                 positions.iter().map(move |p| self.sample(light, *p))
             })
             .collect();
-        let [right, down] = pixels.steps();
+        let [to_right, to_below] = pixels.steps();
         // Offsets of the extra samples in pixels: with the centre a rotated grid.
         let extra = [(-0.375, -0.125), (0.125, -0.375), (0.375, 0.25), (-0.2, 0.375)]
-            .map(|(i, j)| [0, 1].map(|k| i * right[k] + j * down[k]));
+            .map(|(i, j)| [0, 1].map(|k| i * to_right[k] + j * to_below[k]));
         let noise = if self.effects.on(Effect::SensorNoise) {
             self.spec.images.sensor_noise_levels
         } else {
             0.0
         };
-        let mut picture = vec![0_u8; 3 * size * size];
-        picture.par_chunks_mut(3 * size).enumerate().for_each(|(row, out)| {
-            let positions = &pixels.row(row + margin)[margin..margin + size];
-            for column in 0..size {
-                let index = row * size + column;
+        let mut picture = vec![0_u8; 3 * width * height];
+        picture.par_chunks_mut(3 * width).enumerate().for_each(|(row, out)| {
+            let positions = &pixels.row(row + margin)[margin..margin + width];
+            for column in 0..width {
+                let (x, y) = (column + halo, row + halo);
+                let index = y * across + x;
                 let here = samples[index];
                 let differs = |i: usize| samples[i].key != here.key;
-                let at_edge = (column > 0 && differs(index - 1))
-                    || (column + 1 < size && differs(index + 1))
-                    || (row > 0 && differs(index - size))
-                    || (row + 1 < size && differs(index + size));
+                let at_edge = (x > 0 && differs(index - 1))
+                    || (x + 1 < across && differs(index + 1))
+                    || (y > 0 && differs(index - across))
+                    || (y + 1 < down && differs(index + across));
                 let mut colour = here.colour;
                 if at_edge {
                     for offset in extra {
@@ -76,10 +98,11 @@ impl Scene {
                     }
                     colour = scale(colour, 0.2);
                 }
+                let number = sheet.first + row as u64 * sheet.pitch + column as u64;
                 for i in 0..3 {
                     let mut level = 255.0 * tone(colour[i]).sqrt();
                     if noise > 0.0 {
-                        let hash = key(&[image_seed, index as u64, i as u64]);
+                        let hash = key(&[sheet.seed, number, i as u64]);
                         level += (noise * normal(hash)) as f32;
                     }
                     out[3 * column + i] = (level + 0.5).clamp(0.0, 255.0) as u8;

@@ -10,6 +10,7 @@ use super::purpose;
 use super::surface::Scene;
 use super::truth::{self, Truth};
 use super::vigor_files::{self, Image, Panorama};
+use super::whole::{self, PictureFiles, PictureGrid};
 use crate::batch::{Interrupt, Progress, write_atomic};
 use crate::grid::ImageGrid;
 use crate::random::key;
@@ -28,6 +29,9 @@ pub struct Summary {
     pub images: usize,
     /// Panorama positions.
     pub panoramas: usize,
+    /// Columns and rows of the picture of the whole extent, if there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub picture: Option<[u32; 2]>,
     /// Objects, of both epochs.
     pub objects: usize,
     /// SHA-256 of the plan.
@@ -48,6 +52,8 @@ struct SceneFile<'a> {
     tiles: &'a [Tile],
     images: &'a [Image],
     panoramas: &'a [Panorama],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    picture: Option<PictureFiles>,
     streets: &'a super::streets::Streets,
     blocks: Vec<BlockFile>,
     objects: &'a [Object],
@@ -82,13 +88,18 @@ pub fn simulate(
     let images = vigor_files::images(scene)?;
     let panoramas = vigor_files::panoramas(scene, &images)?;
     let tiles = tiles(scene);
+    let picture = PictureGrid::new(scene)?;
     let folders = Folders::create(out)?;
     write_tiles(scene, &tiles, &folders, quiet, interrupt)?;
     write_images(scene, &images, &folders, quiet, interrupt)?;
     for (name, text) in vigor_files::label_files(scene, &images, &panoramas)? {
         write(&folders.vigor.join(name), text.as_bytes())?;
     }
-    let json = scene_json(scene, &tiles, &images, &panoramas);
+    if let Some(grid) = &picture {
+        whole::write(scene, grid, out, quiet, interrupt)?;
+    }
+    let files = picture.map(|grid| PictureFiles::new(scene, &grid));
+    let json = scene_json(scene, &tiles, &images, &panoramas, files);
     write(&out.join("scene.json"), &json)?;
     let mut warnings = Vec::new();
     if images.len() < 4 {
@@ -102,6 +113,7 @@ pub fn simulate(
         tiles: tiles.len(),
         images: images.len(),
         panoramas: panoramas.len(),
+        picture: picture.map(|grid| grid.size()),
         objects: scene.layout.objects.len(),
         plan_hash: scene.plan.hash(),
         effects: Effect::ALL.into_iter().filter(|e| scene.effects.on(*e)).collect(),
@@ -194,7 +206,13 @@ fn write_image(scene: &Scene, image: &Image, folders: &Folders) -> Result<(), Sc
     write(&folders.truth.join(format!("{}_dsm.npz", image.stem)), &truth)
 }
 
-fn scene_json(scene: &Scene, tiles: &[Tile], images: &[Image], panoramas: &[Panorama]) -> Vec<u8> {
+fn scene_json(
+    scene: &Scene,
+    tiles: &[Tile],
+    images: &[Image],
+    panoramas: &[Panorama],
+    picture: Option<PictureFiles>,
+) -> Vec<u8> {
     let [easting, northing] = scene.frame.origin_feet();
     let file = SceneFile {
         sat3d: env!("CARGO_PKG_VERSION"),
@@ -210,6 +228,7 @@ fn scene_json(scene: &Scene, tiles: &[Tile], images: &[Image], panoramas: &[Pano
         tiles,
         images,
         panoramas,
+        picture,
         streets: &scene.streets,
         blocks: scene
             .layout

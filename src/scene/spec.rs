@@ -39,6 +39,9 @@ pub struct SceneSpec {
     pub tiles: TileSpec,
     /// The satellite images and the panorama positions.
     pub images: ImageSpec,
+    /// One picture of the whole extent; none when the table is absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub picture: Option<PictureSpec>,
     /// What changed between the lidar's year and the images' year; nothing without the table.
     pub change: Option<ChangeSpec>,
 }
@@ -61,6 +64,7 @@ impl Default for SceneSpec {
             lidar: LidarSpec::default(),
             tiles: TileSpec::default(),
             images: ImageSpec::default(),
+            picture: None,
             change: None,
         }
     }
@@ -484,6 +488,36 @@ impl Default for ImageSpec {
             sensor_noise_levels: 0.0,
             year: 2021,
             season: Season::Summer,
+        }
+    }
+}
+
+/// `[picture]`: one picture of the whole extent on a Web-Mercator grid around its centre, and the
+/// heights that are true on it. It shows what the satellite images show: same year, season and sun.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PictureSpec {
+    /// Zoom of the Web-Mercator pixel plane; 20, as the satellite images, if `pixel_metres` is absent too.
+    pub zoom: Option<u8>,
+    /// Pixel size on the ground at the centre, metres, in place of `zoom`.
+    pub pixel_metres: Option<f64>,
+    /// Size from west to east, metres; all that fits upright into the extent if absent.
+    pub width_metres: Option<f64>,
+    /// Size from south to north, metres; all that fits upright into the extent if absent.
+    pub height_metres: Option<f64>,
+    /// Distance of the points whose true height is written, pixels of the picture; 2.5 is the grid on which
+    /// the network sees zoom 20.
+    pub truth_spacing_pixels: f64,
+}
+
+impl Default for PictureSpec {
+    fn default() -> Self {
+        Self {
+            zoom: None,
+            pixel_metres: None,
+            width_metres: None,
+            height_metres: None,
+            truth_spacing_pixels: 1.0,
         }
     }
 }

@@ -40,10 +40,10 @@ pub fn margin(scene: &Scene, ground_pixel_m: f64) -> usize {
 }
 
 impl Truth {
-    /// Samples a scene at the pixel centres of an image.
+    /// Samples a scene at the pixel centres of a square image.
     #[must_use]
     pub fn new(scene: &Scene, pixels: &PixelPositions) -> Self {
-        let (side, margin) = (pixels.side(), pixels.margin());
+        let ([side, _], margin) = (pixels.size(), pixels.margin());
         let size = side - 2 * margin;
         let image = look(scene, Epoch::Image, pixels);
         let mut smooth = smooth_mask(&image, side, margin);
@@ -101,8 +101,7 @@ struct Look {
 }
 
 fn look(scene: &Scene, epoch: Epoch, pixels: &PixelPositions) -> Vec<Look> {
-    let side = pixels.side();
-    (0..side)
+    (0..pixels.size()[1])
         .into_par_iter()
         .flat_map_iter(|row| {
             pixels.row(row).iter().map(move |p| {

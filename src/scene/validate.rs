@@ -10,6 +10,8 @@ use std::path::Path;
 const WASHINGTON: [f64; 4] = [-124.9, 45.5, -116.9, 49.05];
 /// Side of the largest scene, metres: the index and the plan stay within some GB.
 const LARGEST_M: f64 = 20_000.0;
+/// Most pixels of a picture: what image libraries count with 31 bits.
+const MOST_PIXELS: f64 = 2_147_483_648.0;
 
 impl SceneSpec {
     /// Reads and checks a scene file.
@@ -51,7 +53,8 @@ impl SceneSpec {
         self.check_objects(&c)?;
         self.check_light(&c)?;
         self.check_lidar(&c)?;
-        self.check_images(&c)
+        self.check_images(&c)?;
+        self.check_picture(&c)
     }
 
     fn check_ground(&self, c: &Check<'_>) -> Result<(), SceneError> {
@@ -210,6 +213,38 @@ impl SceneSpec {
         Ok(())
     }
 
+    fn check_picture(&self, c: &Check<'_>) -> Result<(), SceneError> {
+        let Some(p) = &self.picture else { return Ok(()) };
+        if let Some(zoom) = p.zoom {
+            c.range("picture.zoom", f64::from(zoom), 10.0, 24.0, "")?;
+        }
+        if let Some(metres) = p.pixel_metres {
+            c.range("picture.pixel_metres", metres, 0.01, 100.0, "")?;
+            let why = "zoom gives the size of a pixel too; leave one of the two out";
+            c.want("picture.pixel_metres", metres, p.zoom.is_none(), why)?;
+        }
+        c.range("picture.truth_spacing_pixels", p.truth_spacing_pixels, 1.0, 1000.0, "")?;
+        let mut sides = [self.extent.width_metres, self.extent.height_metres];
+        let given =
+            [("picture.width_metres", p.width_metres), ("picture.height_metres", p.height_metres)];
+        for ((key, metres), side) in given.into_iter().zip(&mut sides) {
+            if let Some(metres) = metres {
+                c.range(key, metres, 1.0, *side, "it must lie in the extent")?;
+                *side = metres;
+            }
+        }
+        let pixel = p.pixel_size(self.place.latitude_degrees);
+        let [width, height] = sides.map(|side| (side / pixel).ceil());
+        c.want(
+            "picture",
+            format!("{width} x {height} pixels"),
+            width * height <= MOST_PIXELS,
+            &format!(
+                "a picture has at most {MOST_PIXELS} pixels; make [extent], width_metres or height_metres smaller, or the pixels larger (zoom, pixel_metres)"
+            ),
+        )
+    }
+
     /// Years from the lidar to the images, without sign.
     #[must_use]
     pub fn years_apart(&self) -> f64 {
@@ -309,6 +344,17 @@ mod tests {
                 vec!["centres_degrees[0]", "latitude comes first"],
             ),
             ("[terrain]\nrelief_metres = 500", vec!["terrain.relief_metres = 500", "steeper"]),
+            ("[picture]\nzoom = 30", vec!["picture.zoom = 30"]),
+            (
+                "[picture]\nzoom = 20\npixel_metres = 0.3",
+                vec!["picture.pixel_metres = 0.3", "leave one of the two out"],
+            ),
+            ("[picture]\nwidth_metres = 400", vec!["picture.width_metres = 400", "280"]),
+            ("[picture]\ntruth_spacing_pixels = 0", vec!["picture.truth_spacing_pixels = 0"]),
+            (
+                "[extent]\nwidth_metres = 5000\nheight_metres = 6000\n[picture]\npixel_metres = 0.1",
+                vec!["picture = 50000 x 60000 pixels", "2147483648", "pixel_metres"],
+            ),
         ] {
             let message = error(text);
             assert!(message.starts_with("city.toml: "), "{message}");

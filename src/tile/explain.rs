@@ -3,7 +3,8 @@
 use super::city::City;
 use super::layout::{AxisWindows, Blend, WINDOW};
 use super::network::TileLattice;
-use super::options::{CityColor, TileOptions, TileOutputs};
+use super::options::{TileOptions, TileOutputs};
+use super::surface::output::CityMeshColour;
 use crate::model::Device;
 use crate::plan::{Bound, Plan, Step};
 use crate::weights::Identity;
@@ -273,10 +274,10 @@ fn surface_steps(options: &TileOptions, inputs: &Inputs<'_>) -> Vec<Step> {
         },
         step(
             "colour",
-            tiles.is_some() || mesh.is_some_and(|mesh| mesh.color != CityColor::None),
+            tiles.is_some() || mesh.is_some_and(|mesh| mesh.color != CityMeshColour::None),
             match mesh.map(|mesh| mesh.color) {
-                Some(CityColor::Texture) => "the picture as a texture",
-                Some(CityColor::Vertex) => "the picture at each vertex",
+                Some(CityMeshColour::Texture) => "the picture as a texture",
+                Some(CityMeshColour::Vertices) => "the picture at each vertex",
                 _ => "the picture",
             },
             ["three bytes per pixel", "a mesh that shows the ground", "the picture from above, on walls too"],

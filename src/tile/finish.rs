@@ -8,9 +8,10 @@ use super::record::SlabRecord;
 use super::seams::{SeamMeasure, Windows};
 use super::slabs::{FOLDER, Slabs};
 use super::surface::output::{CityMeshOptions, write_mesh};
-use super::tiles3d::{Tiles3dOptions, write_tiles3d};
+use super::surface::simplify::Target;
+use super::tiles3d::{Tiles3dOptions, Tiles3dSummary, finest_tiles, write_tiles3d};
 use super::volume;
-use crate::batch::{Header, write_atomic};
+use crate::batch::{Header, Interrupt, Progress, write_atomic};
 use crate::crs::CrsSpec;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -110,6 +111,10 @@ pub struct CityFacts {
     pub surface_triangles: u64,
     /// Triangles of the mesh as written.
     pub mesh_triangles: Option<u64>,
+    /// Largest distance of the mesh to the surface before simplification, metres.
+    pub mesh_error_m: Option<f64>,
+    /// Levels of the 3D Tiles.
+    pub tiles3d: Option<Tiles3dSummary>,
     /// Height jumps across window borders beside those inside windows.
     pub seams: Option<SeamMeasure>,
     /// Square kilometres on the ground.
@@ -145,7 +150,7 @@ impl CityFacts {
     }
 }
 
-/// Makes all outputs, describes them, and removes the slabs. `note` is told what is being made.
+/// Makes all outputs, describes them, and removes the slabs.
 ///
 /// # Errors
 /// An output cannot be made; the slabs stay, and the next run makes it again.
@@ -154,11 +159,17 @@ pub fn finish(
     header: &Header,
     job: &Job,
     records: &[SlabRecord],
-    note: &dyn Fn(&str),
+    quiet: bool,
+    stop: &Interrupt,
 ) -> Result<(CityFacts, Vec<CityOutput>), TileError> {
     let mut facts = CityFacts::of(job, records);
     let city = &job.city;
     let slabs = Slabs { city, out };
+    let note = |name: &str| {
+        if !quiet {
+            tracing::info!("writing {name}");
+        }
+    };
     let (mut names, mut notes) = (Vec::new(), Vec::<String>::new());
     let windows = job.axis_windows()?;
     if let Some(request) = &job.outputs.dsm {
@@ -183,16 +194,31 @@ pub fn finish(
     if let Some(request) = &job.outputs.mesh {
         note(&request.file);
         let frame = LocalFrame::new(city, 0.0)?;
-        let options = CityMeshOptions::of(request);
-        let written = write_mesh(&slabs, &frame, &options, out).map_err(TileError::mesh)?;
+        let [x, y, z] = job.metres_per_unit;
+        let options = CityMeshOptions {
+            colour: request.color,
+            target: Target {
+                error_m: request.error_m,
+                triangles: request.max_triangles.map(|most| most as usize),
+            },
+            isovalue: f64::from(job.isovalue),
+            vertical_exaggeration: z / (x * y).sqrt(),
+            ..CityMeshOptions::default()
+        };
+        let written = write_mesh(&slabs, &frame, &options, &out.join(&request.file), &|_| {})?;
         facts.mesh_triangles = Some(written.triangles);
-        names.extend(written.files);
+        facts.mesh_error_m = Some(written.error_m);
+        names.extend(written.files.into_iter().map(|file| file.name));
     }
     if let Some(request) = &job.outputs.tiles3d {
         note(&request.folder);
         let frame = LocalFrame::new(city, request.base_height_m)?;
-        let options = Tiles3dOptions::of(request);
-        write_tiles3d(&slabs, &frame, &options, out).map_err(TileError::tiles3d)?;
+        let options = Tiles3dOptions { error_m: request.error_m };
+        let folder = out.join(&request.folder);
+        let progress = Progress::new("3D Tiles", "tiles", finest_tiles(&slabs)?, quiet);
+        let written = write_tiles3d(&slabs, &frame, &options, &folder, &progress, stop);
+        progress.finish();
+        facts.tiles3d = Some(written?);
         names.push(request.folder.clone());
     }
     if let Some(name) = &job.outputs.density {

@@ -8,6 +8,7 @@ mod engine_tests;
 mod explain;
 mod finish;
 pub mod frame;
+pub mod ground;
 mod job;
 pub mod layout;
 mod network;
@@ -20,7 +21,7 @@ pub mod surface;
 pub mod tiles3d;
 mod volume;
 mod writer;
-pub mod ground;
+
 pub mod spool;
 pub mod dsm;
 pub mod seams;
@@ -31,10 +32,11 @@ pub use finish::{CityFacts, CityOutput};
 pub use job::Job;
 pub use network::{NetworkWindows, TileLattice};
 pub use options::{
-    CityColor, CityMeshRequest, DsmRequest, ISOVALUE, TILES3D_ERROR_M, TileOptions, TileOutputs,
+    CityMeshRequest, DsmRequest, ISOVALUE, TILES3D_ERROR_M, TileOptions, TileOutputs,
     Tiles3dRequest,
 };
 pub use record::SlabRecord;
+pub use surface::output::CityMeshColour;
 pub use run::{Prepared, TileSummary, merge, prepare};
 
 use crate::batch::JournalError;
@@ -110,6 +112,15 @@ pub enum TileError {
     /// The DSM cannot be written.
     #[error(transparent)]
     Dsm(#[from] dsm::DsmError),
+    /// The mesh cannot be written.
+    #[error(transparent)]
+    Mesh(#[from] surface::output::CityMeshError),
+    /// 3D Tiles cannot be written.
+    #[error(transparent)]
+    Tiles3d(#[from] tiles3d::Tiles3dError),
+    /// The surface cannot be read back.
+    #[error(transparent)]
+    Store(#[from] surface::store::StoreError),
     /// The city's place cannot be used.
     #[error(transparent)]
     Place(#[from] crate::footprint::FootprintError),

@@ -2,6 +2,7 @@
 
 use super::layout::WindowOptions;
 use super::network::TileLattice;
+use super::surface::output::CityMeshColour;
 use crate::batch::{Shard, Verify};
 use crate::footprint::VerticalScale;
 use crate::mesh_file::MeshFormat;
@@ -79,19 +80,6 @@ pub struct DsmRequest {
     pub t_srs: Option<String>,
 }
 
-/// What colours the mesh.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum CityColor {
-    /// The picture at each vertex.
-    #[default]
-    Vertex,
-    /// The picture as a texture.
-    Texture,
-    /// Nothing.
-    None,
-}
-
 /// The mesh.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CityMeshRequest {
@@ -100,7 +88,7 @@ pub struct CityMeshRequest {
     /// glb, ply or obj.
     pub format: MeshFormat,
     /// What colours it.
-    pub color: CityColor,
+    pub color: CityMeshColour,
     /// Largest error of simplification, metres.
     pub error_m: Option<f64>,
     /// Most triangles.
@@ -111,7 +99,7 @@ impl CityMeshRequest {
     /// The whole surface, coloured at its vertices.
     #[must_use]
     pub const fn new(file: String, format: MeshFormat) -> Self {
-        Self { file, format, color: CityColor::Vertex, error_m: None, max_triangles: None }
+        Self { file, format, color: CityMeshColour::Vertices, error_m: None, max_triangles: None }
     }
 }
 

@@ -308,9 +308,8 @@ impl Prepared {
         if !summary.interrupted {
             journal.complete(options.shard, u64::from(self.job.city.slabs()))?;
             if options.shard.is_whole() {
-                let quiet = options.quiet;
                 let (facts, outputs) = pool.install(|| {
-                    finish::finish(out, &header, &self.job, &records, &note(quiet))
+                    finish::finish(out, &header, &self.job, &records, options.quiet, stop)
                 })?;
                 summary.facts = Some(facts);
                 summary.outputs = outputs;
@@ -474,24 +473,20 @@ impl Prepared {
     }
 }
 
-/// Says what is being made.
-fn note(quiet: bool) -> impl Fn(&str) {
-    move |name| {
-        if !quiet {
-            tracing::info!("writing {name}");
-        }
-    }
-}
-
 /// Joins the parts of a city into `out` and makes all outputs: the same bytes as one run's.
 ///
 /// # Errors
 /// Missing or unfinished parts, different plans, a file that is not what its journal says.
-pub fn merge(out: &Path, parts: &[PathBuf]) -> Result<TileSummary, TileError> {
+pub fn merge(
+    out: &Path,
+    parts: &[PathBuf],
+    quiet: bool,
+    stop: &Interrupt,
+) -> Result<TileSummary, TileError> {
     let started = Instant::now();
     let joined = join::<SlabRecord>(out, parts)?;
     let job = Job::of(&joined.header.description)?;
-    let (facts, outputs) = finish::finish(out, &joined.header, &job, &joined.records, &note(false))?;
+    let (facts, outputs) = finish::finish(out, &joined.header, &job, &joined.records, quiet, stop)?;
     let slabs = joined.records.len();
     Ok(TileSummary {
         size: job.city.size,

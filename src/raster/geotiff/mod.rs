@@ -1,6 +1,7 @@
 //! Writing GeoTIFF in pure Rust: [`GeoTiffWriter`] streams rasters of any size into a file,
 //! [`CogWriter`] does so as Cloud Optimized GeoTIFF, [`encode_cog`] makes one in memory. One band of
-//! 32-bit floats; the same bytes on every machine and for any number of threads. See `docs/formats.md`.
+//! 32-bit floats; the same bytes on every machine and for any number of threads. [`RgbWriter`] streams
+//! pictures in the same way. See `docs/formats.md`.
 
 mod cog;
 mod cog_writer;
@@ -8,6 +9,7 @@ mod geographic;
 mod geokeys;
 mod predictor;
 mod pyramid;
+mod rgb;
 mod tags;
 mod tiles;
 mod writer;
@@ -20,6 +22,7 @@ mod tests;
 pub use cog::{CogSpec, encode_cog};
 pub use cog_writer::CogWriter;
 pub use predictor::Compression;
+pub use rgb::RgbWriter;
 pub use writer::{GeoTiffSpec, GeoTiffWriter, Layout};
 
 use crate::units::LinearUnit;

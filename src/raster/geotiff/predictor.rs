@@ -57,7 +57,7 @@ fn predict(samples: &[f32], row: &mut [u8]) {
 
 /// A zlib stream; the same bytes on every machine (the encoder's search does not depend on the
 /// processor: its vector code only compares bytes faster).
-fn deflate(bytes: &[u8]) -> Vec<u8> {
+pub(super) fn deflate(bytes: &[u8]) -> Vec<u8> {
     let mut out = vec![0; compress_bound(bytes.len())];
     let (stream, code) = compress_slice(&mut out, bytes, DeflateConfig::new(LEVEL));
     let length = stream.len();

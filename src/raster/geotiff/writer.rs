@@ -107,7 +107,7 @@ impl GeoTiffSpec {
         Ok(())
     }
 
-    fn cut(&self) -> Cut {
+    pub(super) fn cut(&self) -> Cut {
         let (chunk_width, chunk_height, tiled) = match self.layout {
             Layout::Tiles(size) => (size, size, true),
             Layout::Strips(rows) => (self.width, rows.min(self.height), false),
@@ -115,7 +115,7 @@ impl GeoTiffSpec {
         Cut { width: self.width, height: self.height, chunk_width, chunk_height, tiled }
     }
 
-    fn directory(&self, cut: &Cut, places: &Places) -> Directory {
+    pub(super) fn directory(&self, cut: &Cut, places: &Places) -> Directory {
         let mut directory = Directory::default();
         cut.set_layout(&mut directory, self.compression, places);
         geokeys::set_geotransform(&mut directory, &self.geotransform);

@@ -28,7 +28,7 @@ use super::surface::TileIndex;
 use super::surface::simplify::SimplifyError;
 use super::surface::store::{StoreError, SurfaceStore};
 use crate::batch::{AtomicFolder, Interrupt, Progress};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -50,7 +50,7 @@ impl Default for Tiles3dOptions {
 }
 
 /// What was written.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Tiles3dSummary {
     /// Tiles of each level, the finest first.
     pub tiles: Vec<u64>,
