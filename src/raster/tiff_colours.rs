@@ -259,7 +259,8 @@ fn validity(tiff: &TiffFile, colours: &Colours) -> Validity {
         _ => tiff.nodata,
     };
     let plain: Vec<usize> = (0..samples).filter(|band| alpha != Some(*band)).collect();
-    let byte = |value: f64| (value.fract() == 0.0 && (0.0..256.0).contains(&value)).then_some(value as u8);
+    let byte =
+        |value: f64| (value.fract() == 0.0 && (0.0..256.0).contains(&value)).then_some(value as u8);
     let nodata: Option<Vec<_>> =
         plain.into_iter().map(|band| Some((band, byte(value(band)?)?))).collect();
     let nodata = nodata.unwrap_or_default();
