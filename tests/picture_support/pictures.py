@@ -145,8 +145,11 @@ def masked_pngs():
         png(f"masked_palette_{tail}", picture[..., 0], 3, 8, interlaced, palette, bytes([0, 255, 1, 0, 9] * 40))
         png(f"masked_palette2_{tail}", picture[..., 0] >> 6, 3, 2, interlaced, palette[:4], b"\xff\0")
         png(f"masked_key_{tail}", picture[..., 0] >> 4, 0, 4, interlaced, transparent=b"\0\x09")
-        for kind in ["rgba", "grey", "palette", "palette2", "key"]:
+        for kind in ["rgba", "grey", "palette", "palette2"]:
             as_pillow(f"masked_{kind}_{tail}")
+        # Pillow compares the shade of 4 bits with the pixels of 8.
+        shades = picture[..., 0] >> 4
+        put(f"masked_key_{tail}", np.stack([shades * 17] * 3, -1), shades != 9)
 
 
 def jpegs():
@@ -219,9 +222,10 @@ def masked_tiffs():
         put(f"masked_nodata_{layout}.tif", rgb)
         tiff(f"masked_grey_{layout}.tif", rgba[:1], nodata=0, **options)
         put(f"masked_grey_{layout}.tif", rgb[..., [0, 0, 0]])
-        # All four bands count.
+        # All four bands count; `dataset_mask` takes the fourth of four for alpha.
         tiff(f"masked_infrared_{layout}.tif", bands, photometric="RGB", nodata=0, alpha="NO", **options)
-        put(f"masked_infrared_{layout}.tif", rgb)
+        with rasterio.open(folder / f"masked_infrared_{layout}.tif") as source:
+            put(f"masked_infrared_{layout}.tif", rgb, source.read_masks().any(0))
         # rasterio looks for alpha in pictures of two and four bands only, or takes one of both; this is our rule.
         five = dict(colours=[*red_green_blue, ColorInterp.undefined, ColorInterp.alpha], photometric="RGB")
         tiff(f"masked_five_{layout}.tif", infrared, **five, **options)
