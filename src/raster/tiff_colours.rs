@@ -251,9 +251,11 @@ fn validity(tiff: &TiffFile, colours: &Colours) -> Validity {
     let alpha = (0..samples).rfind(|band| is_alpha(tiff, *band) && !used.contains(band));
     // A value for each band, as programs other than GDAL write it, or one for all.
     let item = |item: &&MetadataItem| item.domain.is_empty() && item.name == "NODATA_VALUES";
-    let each = tiff.items.iter().find(item).map(|item| {
-        item.value.split_whitespace().map(|text| parse_nodata(text)).collect::<Vec<_>>()
-    });
+    let each = tiff
+        .items
+        .iter()
+        .find(item)
+        .map(|item| item.value.split_whitespace().map(parse_nodata).collect::<Vec<_>>());
     let value = |band: usize| match &each {
         Some(values) if values.len() == samples => values[band],
         _ => tiff.nodata,
