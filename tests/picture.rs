@@ -17,6 +17,8 @@ use sat3d::picture::{
     Access, BicubicRows, Picture, PictureError, PictureOptions, ResampledPicture, Window, open,
     open_with,
 };
+use sat3d::tile::spool::Spool;
+use std::ops::ControlFlow;
 use std::path::Path;
 
 /// Rows and windows of a picture are the same as the whole, in any order.
@@ -47,6 +49,34 @@ fn check_parts(picture: &mut Picture, whole: &[u8]) {
     }
 }
 
+/// The mask is the same by rows and windows, in any order, and leaves the colours alone.
+fn check_mask(name: &str, picture: &mut Picture, rgb: &[u8], mask: &[u8]) {
+    let [width, height] = picture.size();
+    let holes = mask.iter().filter(|value| **value == 0).count();
+    assert!(holes == 0 || picture.has_mask(), "{name}");
+    let half = Window { x: width / 3, y: height / 2, width: width.div_ceil(2), height: height / 2 };
+    let whole = Window { x: 0, y: 0, width, height };
+    let row = Window { x: 0, y: height - 1, width, height: 1 };
+    for window in [whole, half, row, half] {
+        let pixels = (window.width * window.height) as usize;
+        // What neither is nor is left as it was.
+        let (mut colours, mut valid) = (vec![7; pixels * 3], vec![7; pixels]);
+        picture.read_window_masked(window, &mut colours, &mut valid).unwrap();
+        for y in 0..window.height as usize {
+            let columns = window.width as usize;
+            let start = (window.y as usize + y) * width as usize + window.x as usize;
+            let (found, expected) = (&valid[y * columns..][..columns], &mask[start..][..columns]);
+            if found != expected {
+                let differ = found.iter().zip(expected).filter(|(a, b)| a != b).count();
+                panic!("{name}: {differ} of {columns} differ in row {y} of {window:?}");
+            }
+            assert!(colours[y * columns * 3..][..columns * 3] == rgb[start * 3..][..columns * 3]);
+        }
+    }
+    let error = picture.read_rows_masked(0..1, &mut vec![0; width as usize * 3], &mut []);
+    assert!(matches!(error, Err(PictureError::Window { .. })), "{name}");
+}
+
 #[test]
 fn pictures_are_what_pillow_and_gdal_read() {
     let test = "pictures_are_what_pillow_and_gdal_read";
@@ -54,7 +84,7 @@ fn pictures_are_what_pillow_and_gdal_read() {
     let folder = tempfile::tempdir().unwrap();
     let script = include_str!("picture_support/pictures.py");
     let listing = run_python(python, script, &[folder.path()]);
-    let mut counts = [0; 3];
+    let (mut counts, mut masked) = ([0; 3], 0);
     for line in listing.lines() {
         let [name, width, height] = line.split(' ').collect::<Vec<_>>()[..] else {
             panic!("{line}")
@@ -76,6 +106,9 @@ fn pictures_are_what_pillow_and_gdal_read() {
             panic!("{name}: {many} of {} bytes differ, by up to {worst:?}", found.len());
         }
         check_parts(&mut picture, &expected);
+        let mask = std::fs::read(folder.path().join(format!("{name}.mask"))).unwrap();
+        check_mask(name, &mut picture, &expected, &mask);
+        masked += usize::from(mask.contains(&0));
         let kind = match name.rsplit('.').next() {
             Some("png") => 0,
             Some("jpg") => 1,
@@ -93,7 +126,8 @@ fn pictures_are_what_pillow_and_gdal_read() {
         let warned = picture.warnings().iter().any(|w| w.contains("which bands are red"));
         assert_eq!(warned, name == "unnamed.tif", "{name}: {:?}", picture.warnings());
     }
-    assert!(counts[0] >= 100 && counts[1] >= 100 && counts[2] >= 40, "{counts:?}");
+    assert!(counts[0] >= 100 && counts[1] >= 100 && counts[2] >= 80, "{counts:?}");
+    assert!(masked >= 60, "{masked} pictures with pixels without data");
 }
 
 #[test]
@@ -200,6 +234,119 @@ fn a_picture_is_resized_while_it_is_read() {
         assert!(found == expected.data, "{size:?}");
         assert_eq!(stream.rows_left(), 0);
     }
+}
+
+#[test]
+fn a_mask_is_resized_with_its_picture() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.png");
+    let rgba = noise(301, 257, 4, 5);
+    // Alpha is 0 in one pixel of 300 or so; of the others, one holds a trace of it.
+    let mut data = rgba.data.clone();
+    for (i, pixel) in data.chunks_exact_mut(4).enumerate() {
+        pixel[3] = if i % 307 == 5 { 0 } else { pixel[3].max(1) };
+    }
+    let file = std::fs::File::create(&path).unwrap();
+    let mut encoder = png::Encoder::new(file, 301, 257);
+    encoder.set_color(png::ColorType::Rgba);
+    encoder.write_header().unwrap().write_image_data(&data).unwrap();
+    let plain: Vec<u8> = data.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
+    let image = Image8::new(301, 257, 3, plain).unwrap();
+    // The colours with all pixels without data made black, and made white.
+    let painted = |colour: u8| {
+        let mut image = image.clone();
+        for (pixel, from) in image.data.chunks_exact_mut(3).zip(data.chunks_exact(4)) {
+            if from[3] == 0 {
+                pixel.fill(colour);
+            }
+        }
+        image
+    };
+    for [width, height] in [[120, 103], [301, 257], [640, 500], [301, 90]] {
+        let mut stream = ResampledPicture::new(open(&path).unwrap(), [width as u32, height as u32]);
+        assert!(stream.picture().has_mask());
+        let (mut found, mut mask) = (Vec::new(), Vec::new());
+        let (mut out, mut valid) = (vec![0; 13 * width * 3], vec![0; 11 * width]);
+        loop {
+            match stream.next_rows_masked(&mut out, &mut valid).unwrap() {
+                0 => break,
+                count => {
+                    assert!(count <= 11);
+                    found.extend_from_slice(&out[..count * width * 3]);
+                    mask.extend_from_slice(&valid[..count * width]);
+                }
+            }
+        }
+        assert!(found == resize_bicubic(&image, width, height).data, "{width} x {height}");
+        assert_eq!(mask.len(), width * height);
+        let (black, white) = (
+            resize_bicubic(&painted(0), width, height),
+            resize_bicubic(&painted(255), width, height),
+        );
+        let mut counts = [0; 2];
+        for (i, valid) in mask.iter().enumerate() {
+            assert!(matches!(valid, 0 | 255));
+            counts[usize::from(*valid == 255)] += 1;
+            let same = black.data[i * 3..][..3] == white.data[i * 3..][..3];
+            assert!(*valid == 0 || same, "{width} x {height}: pixel {i} hangs on one without data");
+        }
+        assert!(counts[0] > 0 && counts[1] > 0, "{counts:?}");
+    }
+}
+
+/// What `sat3d tile` says of pictures that it cannot use, and that it leaves nothing behind.
+#[test]
+fn bad_pictures_give_no_spool() {
+    let test = "bad_pictures_give_no_spool";
+    let Some(python) = python(test, "rasterio, numpy, PIL") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let script = "
+import sys, numpy as np, rasterio
+from PIL import Image
+folder = sys.argv[1]
+pixels = np.random.default_rng(3).integers(0, 255, (900, 300, 3), dtype=np.uint8)
+Image.fromarray(pixels).save(f'{folder}/a.png')
+Image.fromarray(pixels).save(f'{folder}/a.jpg')
+def write(name, bands, **options):
+    with rasterio.open(f'{folder}/{name}.tif', 'w', driver='GTiff', count=len(bands), dtype=str(bands.dtype),
+                       height=bands.shape[1], width=bands.shape[2], photometric='RGB', **options) as out:
+        out.write(bands)
+write('a', np.moveaxis(pixels, -1, 0), compress='deflate', blockysize=16)
+write('deep', np.ones((3, 20, 30), np.uint16))
+Image.fromarray(pixels[:1]).save(f'{folder}/line.png')
+";
+    run_python(python, script, &[folder.path()]);
+    let to = folder.path().join("a.spool");
+    let spool = |path: &Path| {
+        let picture = open(path).map_err(|error| error.to_string())?;
+        let [width, height] = picture.size();
+        let picture = ResampledPicture::new(picture, [width.div_ceil(2), height.div_ceil(2)]);
+        Spool::create(picture, &to, "print", |_| ControlFlow::Continue(()))
+            .map_err(|error| error.to_string())
+    };
+    for name in ["a.png", "a.jpg", "a.tif"] {
+        let path = folder.path().join(name);
+        let sound = spool(&path).unwrap();
+        assert_eq!(sound.size(), [150, 450]);
+        std::fs::remove_file(&to).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+        let error = spool(&path).unwrap_err();
+        // GDAL's files have their directory in front: it is the pixels that lack.
+        assert!(error.contains(name) && error.contains(" of 900"), "{error}");
+        let row: u32 =
+            error.split("row ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
+        assert!((300..600).contains(&row), "{error}");
+        let left: Vec<_> = std::fs::read_dir(folder.path()).unwrap().collect();
+        assert_eq!(left.len(), 5, "{left:?}");
+    }
+    let error = spool(&folder.path().join("deep.tif")).unwrap_err();
+    assert!(error.contains("gdal_translate -ot Byte -scale"), "{error}");
+    let line = spool(&folder.path().join("line.png")).unwrap();
+    assert_eq!(line.size(), [150, 1]);
+    let (image, valid) = line.window(-53, -127, 256).unwrap();
+    assert_eq!((image.data.len(), valid.len()), (256 * 256 * 3, 256 * 256));
+    assert!(image.data.chunks_exact(256 * 3).all(|row| *row == image.data[..256 * 3]));
 }
 
 fn unreadable(path: &Path) -> String {

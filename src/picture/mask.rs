@@ -37,7 +37,8 @@ impl Picture {
         self.check(window, rgb.len())?;
         let pixels = rgb.len() / 3;
         if valid.len() != pixels {
-            let what = format!("a mask of {pixels} pixels takes {pixels} bytes, not {}", valid.len());
+            let what =
+                format!("a mask of {pixels} pixels takes {pixels} bytes, not {}", valid.len());
             return Err(PictureError::Window { path: self.path.clone(), what });
         }
         if self.has_mask() {

@@ -56,8 +56,7 @@ impl GdalColours {
         let dataset = Dataset::open(path).map_err(|error| unreadable(error.to_string()))?;
         let (colours, warning) = colours(&dataset).map_err(unreadable)?;
         header.warnings.extend(warning);
-        let validity =
-            validity(&dataset, &colours).map_err(|error| unreadable(explain(&error)))?;
+        let validity = validity(&dataset, &colours).map_err(|error| unreadable(explain(&error)))?;
         Ok(Self { header, dataset, colours, validity })
     }
 
@@ -142,7 +141,8 @@ impl GdalColours {
 impl GdalColours {
     /// Marks the pixels of a part of a rectangle, in rows that lie `stride` bytes apart.
     fn mark_part(&self, part: Rectangle, valid: &mut [u8], stride: usize) -> Result<(), GdalError> {
-        let mut mask = vec![if self.validity.masks.is_empty() { 255 } else { 0 }; part.width * part.height];
+        let mut mask =
+            vec![if self.validity.masks.is_empty() { 255 } else { 0 }; part.width * part.height];
         for number in &self.validity.masks {
             let band = self.dataset.rasterband(*number)?;
             let values = read_part(&band.open_mask_band()?, part)?;
@@ -179,7 +179,8 @@ fn validity(dataset: &Dataset, colours: &Colours) -> Result<Validity, GdalError>
     let mut plain = Vec::new();
     for number in 1..=dataset.raster_count() {
         let band = dataset.rasterband(number)?;
-        if band.color_interpretation() == ColorInterpretation::AlphaBand && !used.contains(&number) {
+        if band.color_interpretation() == ColorInterpretation::AlphaBand && !used.contains(&number)
+        {
             alpha = Some(number);
         } else {
             plain.push((number, band.mask_flags()?));
@@ -195,7 +196,8 @@ fn validity(dataset: &Dataset, colours: &Colours) -> Result<Validity, GdalError>
     }
     // A band that has data everywhere gives every pixel some.
     let masked = plain.iter().all(|(_, flags)| !flags.is_all_valid() && !flags.is_alpha());
-    let masks = if masked { plain.into_iter().map(|(number, _)| number).collect() } else { Vec::new() };
+    let masks =
+        if masked { plain.into_iter().map(|(number, _)| number).collect() } else { Vec::new() };
     Ok(Validity { masks, alpha })
 }
 

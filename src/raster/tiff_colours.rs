@@ -251,15 +251,18 @@ fn validity(tiff: &TiffFile, colours: &Colours) -> Validity {
     let alpha = (0..samples).rfind(|band| is_alpha(tiff, *band) && !used.contains(band));
     // A value for each band, as programs other than GDAL write it, or one for all.
     let item = |item: &&MetadataItem| item.domain.is_empty() && item.name == "NODATA_VALUES";
-    let each = tiff.items.iter().find(item).map(|item| {
-        item.value.split_whitespace().map(|text| parse_nodata(text)).collect::<Vec<_>>()
-    });
+    let each = tiff
+        .items
+        .iter()
+        .find(item)
+        .map(|item| item.value.split_whitespace().map(parse_nodata).collect::<Vec<_>>());
     let value = |band: usize| match &each {
         Some(values) if values.len() == samples => values[band],
         _ => tiff.nodata,
     };
     let plain: Vec<usize> = (0..samples).filter(|band| alpha != Some(*band)).collect();
-    let byte = |value: f64| (value.fract() == 0.0 && (0.0..256.0).contains(&value)).then_some(value as u8);
+    let byte =
+        |value: f64| (value.fract() == 0.0 && (0.0..256.0).contains(&value)).then_some(value as u8);
     let nodata: Option<Vec<_>> =
         plain.into_iter().map(|band| Some((band, byte(value(band)?)?))).collect();
     let nodata = nodata.unwrap_or_default();

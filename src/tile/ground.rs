@@ -39,7 +39,9 @@ impl Rule {
     #[must_use]
     pub fn words(&self) -> String {
         match self {
-            Self::Stated { metres } => format!("{metres} m on the ground per model pixel (--window-gsd)"),
+            Self::Stated { metres } => {
+                format!("{metres} m on the ground per model pixel (--window-gsd)")
+            }
             Self::Zoom20 => format!(
                 "Web Mercator at zoom 20, made {ZOOM_20_REDUCTION} times smaller, as in the training"
             ),
@@ -79,7 +81,9 @@ pub enum GroundError {
         gsd: f64,
     },
     /// The picture's place cannot be used.
-    #[error("{source}; or state the metres per pixel with --gsd, and the outputs have no place on Earth")]
+    #[error(
+        "{source}; or state the metres per pixel with --gsd, and the outputs have no place on Earth"
+    )]
     Place {
         /// Why.
         source: FootprintError,
@@ -164,9 +168,8 @@ pub fn model_size(
         side.round().max(1.0)
     };
     let size = [side(0), side(1)];
-    let refuse = |what: String| {
-        Err(GroundError::Size { picture, gsd_m: footprint.gsd_m, size, what })
-    };
+    let refuse =
+        |what: String| Err(GroundError::Size { picture, gsd_m: footprint.gsd_m, size, what });
     // So written that NaN is refused too.
     if !size.iter().all(|side| *side <= LONGEST) {
         return refuse(format!("{LONGEST} along a side"));
@@ -228,7 +231,8 @@ mod tests {
 
     #[test]
     fn zoom_20_is_reduced_as_in_the_training() {
-        let found = model_size([640, 640], Some(&named([640, 640], 20)), None, None).expect("a size");
+        let found =
+            model_size([640, 640], Some(&named([640, 640], 20)), None, None).expect("a size");
         assert_eq!((found.size, found.rule, found.assumed), ([256, 256], Rule::Zoom20, false));
         assert!(found.warnings.is_empty() && (found.footprint.gsd_m[0] - 0.1007).abs() < 1e-4);
         let mercator = |pixel| raster(3857, [-1.36e7, pixel, 0.0, 6.04e6, 0.0, -pixel]);
@@ -248,7 +252,8 @@ mod tests {
         // Only half of it.
         let half = raster(3857, [-1.36e7, 0.149_291, 0.0, 6.04e6, 0.0, -0.3]);
         assert_eq!(model_size([9, 9], Some(&half), None, None).expect("a size").rule, Rule::Ground);
-        let other = model_size([640, 640], Some(&named([640, 640], 19)), None, None).expect("a size");
+        let other =
+            model_size([640, 640], Some(&named([640, 640], 19)), None, None).expect("a size");
         assert_eq!(other.rule, Rule::Ground);
 
         let stated = model_size([640, 640], Some(&named([640, 640], 20)), Some([0.2, 0.3]), None)
@@ -296,9 +301,12 @@ mod tests {
         let error = model_size([100, 100], Some(&rotated), None, None).expect_err("rotated");
         let text = error.to_string();
         assert!(["rotated", "gdalwarp", "--gsd"].iter().all(|word| text.contains(word)), "{text}");
-        let found = model_size([100, 100], Some(&rotated), Some([0.28, 0.28]), None).expect("a size");
+        let found =
+            model_size([100, 100], Some(&rotated), Some([0.28, 0.28]), None).expect("a size");
         assert_eq!((found.size, found.footprint.place, found.assumed), ([100, 100], None, false));
-        assert!(found.warnings[0].contains("rotated") && found.warnings[0].contains("without a place"));
+        assert!(
+            found.warnings[0].contains("rotated") && found.warnings[0].contains("without a place")
+        );
         let mirrored = raster(32610, [550_000.0, 0.3, 0.0, 5_270_000.0, 0.0, 0.3]);
         let error = model_size([100, 100], Some(&mirrored), None, None).expect_err("mirrored");
         assert!(error.to_string().contains("mirrored"), "{error}");

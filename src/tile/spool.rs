@@ -169,7 +169,9 @@ impl Spool {
         }
         written(output.commit())?;
         Self::open(path, fingerprint).ok_or_else(|| {
-            io(io::Error::other("was written and cannot be read again; does something else write to it?"))
+            io(io::Error::other(
+                "was written and cannot be read again; does something else write to it?",
+            ))
         })
     }
 
@@ -207,10 +209,7 @@ impl Spool {
     ///
     /// # Errors
     /// A rectangle that reaches beyond the picture; what the system says, with the file's name.
-    pub fn rectangle(
-        &self,
-        [columns, rows]: [Range<u32>; 2],
-    ) -> io::Result<(Vec<u8>, Vec<bool>)> {
+    pub fn rectangle(&self, [columns, rows]: [Range<u32>; 2]) -> io::Result<(Vec<u8>, Vec<bool>)> {
         let pixels = self.read([columns, rows])?;
         let rgb = pixels.chunks_exact(PIXEL).flat_map(|pixel| [pixel[0], pixel[1], pixel[2]]);
         let valid = pixels.chunks_exact(PIXEL).map(|pixel| pixel[3] != 0);
@@ -291,4 +290,184 @@ fn reflected(first: i64, count: u32, length: u32) -> Vec<u32> {
 fn free(file: &Path) -> Option<u64> {
     let disk = rustix::fs::statvfs(file).ok()?;
     Some(disk.f_bavail.saturating_mul(disk.f_frsize))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::picture;
+    use std::cell::Cell;
+
+    /// A PNG with alpha: 0 where `hole` says so.
+    fn write(path: &Path, size: [u32; 2], hole: impl Fn(u32, u32) -> bool) -> Vec<[u8; 4]> {
+        let pixel = |i: u32| {
+            let (x, y) = (i % size[0], i / size[0]);
+            let noise = i.wrapping_mul(2_654_435_761) >> 8;
+            let alpha = if hole(x, y) { 0 } else { 1 + (noise % 255) as u8 };
+            [noise as u8, (noise >> 8) as u8, (noise >> 16) as u8, alpha]
+        };
+        let pixels: Vec<_> = (0..size[0] * size[1]).map(pixel).collect();
+        let file = File::create(path).expect("a file");
+        let mut encoder = png::Encoder::new(file, size[0], size[1]);
+        encoder.set_color(png::ColorType::Rgba);
+        let mut writer = encoder.write_header().expect("a header");
+        writer.write_image_data(pixels.as_flattened()).expect("pixels");
+        pixels
+    }
+
+    fn spool(path: &Path, size: [u32; 2], to: &Path) -> Result<Spool, SpoolError> {
+        let picture = ResampledPicture::new(picture::open(path)?, size);
+        Spool::create(picture, to, "print", |_| ControlFlow::Continue(()))
+    }
+
+    fn names(folder: &Path) -> Vec<String> {
+        let items = std::fs::read_dir(folder).expect("a folder");
+        items
+            .map(|item| item.expect("an item").file_name().to_string_lossy().into_owned())
+            .collect()
+    }
+
+    #[test]
+    fn places_are_reflected_as_numpy_does() {
+        // numpy.pad(range(n), (4, 5), "reflect")
+        assert_eq!(reflected(-4, 14, 5), [4, 3, 2, 1, 0, 1, 2, 3, 4, 3, 2, 1, 0, 1]);
+        assert_eq!(reflected(-4, 11, 2), [0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0]);
+        assert_eq!(reflected(-4, 10, 1), [0; 10]);
+        assert_eq!(reflected(-4, 12, 3), [0, 1, 2, 1, 0, 1, 2, 1, 0, 1, 2, 1]);
+        assert_eq!(reflected(i64::MIN, 2, 2).len(), 2);
+        assert_eq!(reflected(i64::MAX, 3, 7).len(), 3);
+    }
+
+    #[test]
+    fn windows_are_the_pictures_pixels_reflected_beyond_it() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (path, to) = (folder.path().join("a.png"), folder.path().join("a.spool"));
+        for size in [[23, 17], [1, 9], [9, 1], [1, 1], [300, 2]] {
+            let pixels = write(&path, size, |x, y| (x + 2 * y) % 5 == 0);
+            let spool = spool(&path, size, &to).expect("a spool");
+            assert_eq!(spool.size(), size);
+            for (x, y, side) in [(0, 0, 4), (-3, -5, 16), (-40, 7, 64), (20, 90, 9), (3, 3, 1)] {
+                let (image, valid) = spool.window(x, y, side).expect("a window");
+                assert_eq!(
+                    (image.width, image.height, image.channels),
+                    (side as usize, side as usize, 3)
+                );
+                for (i, valid) in valid.iter().enumerate() {
+                    let (i, side) = (i as i64, i64::from(side));
+                    let at =
+                        [(x + i % side, size[0]), (y + i / side, size[1])].map(|(mut at, n)| {
+                            // One reflection after the other.
+                            let n = i64::from(n);
+                            while n > 1 && !(0..n).contains(&at) {
+                                at = if at < 0 { -at } else { 2 * (n - 1) - at };
+                            }
+                            if n == 1 { 0 } else { at as usize }
+                        });
+                    let expected = pixels[at[1] * size[0] as usize + at[0]];
+                    let colour = &image.data[i as usize * 3..][..3];
+                    assert_eq!(*valid, expected[3] != 0, "{size:?} {x} {y} {i}");
+                    let wanted = if *valid { &expected[..3] } else { &NO_DATA_COLOUR[..] };
+                    assert_eq!(colour, wanted, "{size:?} {x} {y} {i}");
+                }
+            }
+            let (rgb, valid) = spool.rectangle([0..size[0], 0..size[1]]).expect("all of it");
+            let colours: Vec<_> = pixels.iter().flat_map(|p| [p[0], p[1], p[2]]).collect();
+            assert!(rgb == colours, "colours without data stay in a rectangle");
+            assert!(valid.iter().zip(&pixels).all(|(valid, pixel)| *valid == (pixel[3] != 0)));
+            assert!(spool.rectangle([0..0, 0..1]).expect("nothing").0.is_empty());
+            let error = spool.rectangle([0..size[0] + 1, 0..1]).expect_err("beyond").to_string();
+            assert!(error.contains("a.spool") && error.contains("reach beyond"), "{error}");
+        }
+    }
+
+    #[test]
+    fn windows_may_be_read_by_many_threads() {
+        use rayon::prelude::*;
+        let folder = tempfile::tempdir().expect("a folder");
+        let (path, to) = (folder.path().join("a.png"), folder.path().join("a.spool"));
+        write(&path, [400, 300], |x, _| x == 7);
+        let spool = spool(&path, [100, 75], &to).expect("a spool");
+        let window = |i: i64| spool.window(i % 90 - 10, i % 71, 32).expect("a window");
+        let alone: Vec<_> = (0..200).map(window).collect();
+        let together: Vec<_> = (0..200).into_par_iter().map(window).collect();
+        assert!(alone == together);
+    }
+
+    #[test]
+    fn a_spool_is_found_again_by_its_print_alone() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (path, to) = (folder.path().join("a.png"), folder.path().join("a.spool"));
+        write(&path, [40, 30], |_, _| false);
+        assert!(Spool::open(&to, "print").is_none());
+        let made = spool(&path, [20, 15], &to).expect("a spool");
+        let found = Spool::open(&to, "print").expect("the spool");
+        assert_eq!(
+            found.window(-3, 5, 30).expect("a window"),
+            made.window(-3, 5, 30).expect("a window")
+        );
+        assert!(Spool::open(&to, "another").is_none());
+        // Without alpha everything is valid; with a hole, all that its colour would reach is not.
+        let (_, valid) = made.rectangle([0..20, 0..15]).expect("all");
+        assert!(valid.iter().all(|valid| *valid));
+
+        let bytes = std::fs::read(&to).expect("the file");
+        for broken in [&bytes[..bytes.len() - 1], &bytes[..70], &bytes[..0], b"{}\n", b"\xff\xff"] {
+            std::fs::write(&to, broken).expect("writes");
+            assert!(Spool::open(&to, "print").is_none(), "{} bytes", broken.len());
+        }
+        let first = fingerprint(&path, [20, 15]).expect("a print");
+        assert_eq!(first, fingerprint(&path, [20, 15]).expect("a print"));
+        assert_ne!(first, fingerprint(&path, [20, 16]).expect("a print"));
+        std::fs::write(&path, b"other").expect("writes");
+        assert_ne!(first, fingerprint(&path, [20, 15]).expect("a print"));
+    }
+
+    #[test]
+    fn what_fails_leaves_nothing_behind() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (path, to) = (folder.path().join("a.png"), folder.path().join("a.spool"));
+        write(&path, [500, 3000], |_, _| false);
+        let open = || ResampledPicture::new(picture::open(&path).expect("opens"), [250, 9000]);
+        let heard = Cell::new(0);
+        let stop = |rows| {
+            heard.set(rows);
+            ControlFlow::Break(())
+        };
+        let error = Spool::create(open(), &to, "print", stop).expect_err("stopped");
+        assert!(
+            matches!(error, SpoolError::Stopped) && heard.get() == 4194,
+            "{error} {}",
+            heard.get()
+        );
+        assert_eq!(names(folder.path()), ["a.png"]);
+
+        let bytes = std::fs::read(&path).expect("reads");
+        std::fs::write(&path, &bytes[..bytes.len() / 2]).expect("writes");
+        let error = spool(&path, [250, 1500], &to).expect_err("truncated").to_string();
+        assert!(
+            error.contains("a.png") && error.contains("of 3000") && error.contains("row"),
+            "{error}"
+        );
+        assert_eq!(names(folder.path()), ["a.png"]);
+        let none = folder.path().join("none/a.spool");
+        std::fs::write(&path, &bytes).expect("writes");
+        let error = spool(&path, [250, 1500], &none).expect_err("no folder").to_string();
+        assert!(error.contains("none/a.spool"), "{error}");
+    }
+
+    #[test]
+    fn a_disk_without_room_is_found_before_anything_is_written() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (path, to) = (folder.path().join("a.png"), folder.path().join("a.spool"));
+        write(&path, [2, 2], |_, _| false);
+        // Nine terabytes; a disk that has them is told to stop at once.
+        let size = [1_500_000; 2];
+        let picture = ResampledPicture::new(picture::open(&path).expect("opens"), size);
+        let error =
+            Spool::create(picture, &to, "print", |_| ControlFlow::Break(())).expect_err("full");
+        let text = error.to_string();
+        assert!(matches!(error, SpoolError::Full { available: Some(_), .. }), "{text}");
+        assert!(text.contains("a.spool") && text.contains("9000000000128 bytes"), "{text}");
+        assert_eq!(names(folder.path()), ["a.png"]);
+    }
 }

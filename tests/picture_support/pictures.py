@@ -1,7 +1,7 @@
 """Pictures of every kind beside the RGB that Pillow, GDAL or arithmetic say they hold.
 
-pictures.py FOLDER writes NAME and NAME.rgb (rows from the top, three bytes a pixel) for each, and prints one
-line for each: NAME, columns, rows.
+pictures.py FOLDER writes NAME, NAME.rgb (rows from the top, three bytes a pixel) and NAME.mask (a byte a pixel: 255,
+or 0 for no data) for each, and prints one line for each: NAME, columns, rows.
 """
 
 import shutil
@@ -34,15 +34,20 @@ def scene(height, width, bands=3):
     return picture.clip(0, 255).astype(np.uint8)
 
 
-def put(name, rgb):
+def put(name, rgb, valid=None):
     rgb = np.ascontiguousarray(rgb, np.uint8)
     (folder / f"{name}.rgb").write_bytes(rgb.tobytes())
+    if valid is None:
+        with rasterio.open(folder / name) as source:
+            valid = source.dataset_mask() != 0
+    assert valid.shape == rgb.shape[:2], name
+    (folder / f"{name}.mask").write_bytes(np.where(valid, 255, 0).astype(np.uint8).tobytes())
     print(name, rgb.shape[1], rgb.shape[0])
 
 
 def as_pillow(name):
     with Image.open(folder / name) as picture:
-        put(name, np.asarray(picture.convert("RGB")))
+        put(name, np.asarray(picture.convert("RGB")), np.asarray(picture.convert("RGBA"))[..., 3] != 0)
 
 
 def png(name, samples, colour, bits, interlaced=False, palette=None, transparent=None):
@@ -108,6 +113,8 @@ def pngs():
                     as_pillow(name)
             # Pillow cuts 16 bits off at 255 or takes the upper byte; this is what is meant.
             deep = random.integers(0, 65536, (height, width, 4))
+            deep[..., 3] *= random.integers(0, 2, (height, width))
+            deep[0, 0, 3] = 1
             eight = np.floor(deep / 257 + 0.5)
             for kind, colour, bands, rgb in [
                 ("grey16", 0, [0], [0, 0, 0]),
@@ -116,7 +123,33 @@ def pngs():
                 ("rgba16", 6, [0, 1, 2, 3], [0, 1, 2]),
             ]:
                 png(f"{kind}_{tail}", deep[..., bands], colour, 16, interlaced)
-                put(f"{kind}_{tail}", eight[..., rgb])
+                # A trace of 1 / 65535 is data; Pillow takes alpha's upper byte.
+                put(f"{kind}_{tail}", eight[..., rgb], deep[..., bands[-1]] != 0 if 3 in bands else eight[..., 0] >= 0)
+
+
+def holes(height, width):
+    """Alpha of 0 in a block and here and there, 1, 254 and 255."""
+    alpha = random.choice(np.array([0, 1, 254, 255], np.uint8), (height, width), p=[0.1, 0.2, 0.3, 0.4])
+    alpha[: height // 3, width // 2 :] = 0
+    return alpha
+
+
+def masked_pngs():
+    height, width = 61, 47
+    picture = np.dstack([scene(height, width), holes(height, width)])
+    palette = random.integers(0, 256, (256, 3))
+    for interlaced in [False, True]:
+        tail = "interlaced.png" if interlaced else "rows.png"
+        png(f"masked_rgba_{tail}", picture, 6, 8, interlaced)
+        png(f"masked_grey_{tail}", picture[..., [0, 3]], 4, 8, interlaced)
+        png(f"masked_palette_{tail}", picture[..., 0], 3, 8, interlaced, palette, bytes([0, 255, 1, 0, 9] * 40))
+        png(f"masked_palette2_{tail}", picture[..., 0] >> 6, 3, 2, interlaced, palette[:4], b"\xff\0")
+        png(f"masked_key_{tail}", picture[..., 0] >> 4, 0, 4, interlaced, transparent=b"\0\x09")
+        for kind in ["rgba", "grey", "palette", "palette2"]:
+            as_pillow(f"masked_{kind}_{tail}")
+        # Pillow compares the shade of 4 bits with the pixels of 8.
+        shades = picture[..., 0] >> 4
+        put(f"masked_key_{tail}", np.stack([shades * 17] * 3, -1), shades != 9)
 
 
 def jpegs():
@@ -158,6 +191,89 @@ def tiff(name, bands, **options):
         if palette:
             out.write_colormap(1, palette)
         out.write(bands)
+
+
+def masked_tiffs():
+    picture = scene(211, 307, 4)
+    alpha = holes(211, 307)
+    # Black without data, black with: in one band of four, and in all but the last.
+    picture[alpha == 0] = 0
+    picture[3:9, 3:9, :3] = 0
+    picture[3:9, 3:9, 3] = 77
+    picture[20:29, 3:9, 1:3] = 0
+    rgb, bands = picture[..., :3], np.moveaxis(picture, -1, 0)
+    rgba = np.concatenate([bands[:3], alpha[None]])
+    infrared = np.concatenate([bands, alpha[None]])
+    red_green_blue = [ColorInterp.red, ColorInterp.green, ColorInterp.blue]
+    for layout, options in {
+        "strips": {},
+        "tiles": dict(tiled=True, blockxsize=64, blockysize=32, compress="deflate"),
+        "planar": dict(interleave="band", compress="lzw"),
+        "planar_tiles": dict(interleave="band", tiled=True, blockxsize=64, blockysize=32),
+        "big_endian": dict(ENDIANNESS="BIG", compress="packbits", blockysize=7),
+    }.items():
+        tiff(f"masked_rgba_{layout}.tif", rgba, photometric="RGB", alpha="YES", **options)
+        put(f"masked_rgba_{layout}.tif", rgb)
+        tiff(f"masked_associated_{layout}.tif", rgba, photometric="RGB", alpha="PREMULTIPLIED", **options)
+        put(f"masked_associated_{layout}.tif", rgb)
+        tiff(f"masked_grey_alpha_{layout}.tif", rgba[[0, 3]], alpha="YES", **options)
+        put(f"masked_grey_alpha_{layout}.tif", rgb[..., [0, 0, 0]])
+        tiff(f"masked_nodata_{layout}.tif", rgba[:3], photometric="RGB", nodata=0, **options)
+        put(f"masked_nodata_{layout}.tif", rgb)
+        tiff(f"masked_grey_{layout}.tif", rgba[:1], nodata=0, **options)
+        put(f"masked_grey_{layout}.tif", rgb[..., [0, 0, 0]])
+        # All four bands count; `dataset_mask` takes the fourth of four for alpha.
+        tiff(f"masked_infrared_{layout}.tif", bands, photometric="RGB", nodata=0, alpha="NO", **options)
+        with rasterio.open(folder / f"masked_infrared_{layout}.tif") as source:
+            put(f"masked_infrared_{layout}.tif", rgb, source.read_masks().any(0))
+        # rasterio looks for alpha in pictures of two and four bands only, or takes one of both; this is our rule.
+        five = dict(colours=[*red_green_blue, ColorInterp.undefined, ColorInterp.alpha], photometric="RGB")
+        tiff(f"masked_five_{layout}.tif", infrared, **five, **options)
+        put(f"masked_five_{layout}.tif", rgb, alpha != 0)
+        tiff(f"masked_both_{layout}.tif", rgba, photometric="RGB", alpha="YES", nodata=20, **options)
+        with rasterio.open(folder / f"masked_both_{layout}.tif") as source:
+            valid = source.read_masks([1, 2, 3]).any(0) & (source.read(4) != 0)
+        put(f"masked_both_{layout}.tif", rgb, valid)
+        for kind, more in {"inside": dict(GDAL_TIFF_INTERNAL_MASK=True), "beside": dict(GDAL_TIFF_INTERNAL_MASK=False)}.items():
+            # A side file is GDAL's matter.
+            name = f"{'gdal_' if kind == 'beside' else ''}masked_{kind}_{layout}.tif"
+            with rasterio.Env(**more):
+                tiff(name, rgba[:3], photometric="RGB", **options)
+                with rasterio.open(folder / name, "r+") as out:
+                    out.write_mask(alpha != 0)
+            put(name, rgb)
+    index = bands[0]
+    colours = {i: (i, 255 - i, i // 2, 255) for i in range(256)}
+    tiff("masked_palette.tif", bands[:1], palette=colours, nodata=0)
+    put("masked_palette.tif", np.stack([index, 255 - index, index // 2], -1))
+    tiff("masked_sparse.tif", np.full_like(rgba[:3], 9), photometric="RGB", tiled=True, nodata=9, SPARSE_OK="TRUE")
+    put("masked_sparse.tif", np.full_like(rgb, 9))
+    tiff("masked_sparse_alpha.tif", np.zeros_like(rgba), photometric="RGB", alpha="YES", tiled=True, SPARSE_OK="TRUE")
+    put("masked_sparse_alpha.tif", np.zeros_like(rgb))
+    tiff("masked_impossible.tif", rgba[:3], photometric="RGB", nodata=0)
+    # A value that no byte has, by the tag itself.
+    data = (folder / "masked_impossible.tif").read_bytes()
+    tag = data.find(struct.pack("<HHI", 42113, 2, 2))
+    assert tag > 0
+    (folder / "masked_impossible.tif").write_bytes(data[: tag + 8] + b"-\0\0\0" + data[tag + 12 :])
+    put("masked_impossible.tif", rgb, alpha >= 0)
+    values = dict(photometric="RGB", nodata=None)
+    tiff("masked_values.tif", rgba[:3], **values)
+    with rasterio.open(folder / "masked_values.tif", "r+") as out:
+        out.update_tags(NODATA_VALUES="250 20 60")
+    put("masked_values.tif", rgb)
+    for name in ["rgba_tiles", "nodata_strips", "infrared_strips", "inside_tiles", "grey_alpha_strips", "both_strips", "five_tiles"]:
+        copy(folder / f"masked_{name}.tif", folder / f"gdal_masked_{name}.vrt", driver="VRT")
+        own = [(folder / f"masked_{name}.tif{kind}").read_bytes() for kind in [".rgb", ".mask"]]
+        put(
+            f"gdal_masked_{name}.vrt",
+            np.frombuffer(own[0], np.uint8).reshape(211, 307, 3),
+            np.frombuffer(own[1], np.uint8).reshape(211, 307) != 0,
+        )
+    copy(folder / "masked_rgba_tiles.tif", folder / "masked_cog.tif", driver="COG", compress="deflate", blocksize=128)
+    put("masked_cog.tif", rgb)
+    copy(folder / "masked_inside_tiles.tif", folder / "masked_cog_mask.tif", driver="COG", compress="lzw", blocksize=128)
+    put("masked_cog_mask.tif", rgb)
 
 
 def tiffs():
@@ -239,5 +355,7 @@ def tiffs():
 
 
 pngs()
+masked_pngs()
 jpegs()
 tiffs()
+masked_tiffs()
