@@ -11,11 +11,12 @@ use super::surface::Scene;
 use super::truth::{self, Truth};
 use super::vigor_files::{self, Image, Panorama};
 use super::whole::{self, PictureFiles, PictureGrid};
-use crate::batch::{Interrupt, Progress, write_atomic};
+use crate::batch::{AtomicFile, Interrupt, Progress, sync_folder, write_atomic};
 use crate::grid::ImageGrid;
 use crate::random::key;
 use rayon::prelude::*;
 use serde::Serialize;
+use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 /// What a simulation wrote.
@@ -99,8 +100,9 @@ pub fn simulate(
         whole::write(scene, grid, out, quiet, interrupt)?;
     }
     let files = picture.map(|grid| PictureFiles::new(scene, &grid));
-    let json = scene_json(scene, &tiles, &images, &panoramas, files);
-    write(&out.join("scene.json"), &json)?;
+    let path = out.join("scene.json");
+    write_scene_json(scene, &tiles, &images, &panoramas, files, &path)
+        .map_err(|source| SceneError::Io { path, source })?;
     let mut warnings = Vec::new();
     if images.len() < 4 {
         warnings.push(format!(
@@ -206,13 +208,15 @@ fn write_image(scene: &Scene, image: &Image, folders: &Folders) -> Result<(), Sc
     write(&folders.truth.join(format!("{}_dsm.npz", image.stem)), &truth)
 }
 
-fn scene_json(
+/// Streams what was resolved: of a large city it is hundreds of megabytes.
+fn write_scene_json(
     scene: &Scene,
     tiles: &[Tile],
     images: &[Image],
     panoramas: &[Panorama],
     picture: Option<PictureFiles>,
-) -> Vec<u8> {
+    path: &Path,
+) -> io::Result<()> {
     let [easting, northing] = scene.frame.origin_feet();
     let file = SceneFile {
         sat3d: env!("CARGO_PKG_VERSION"),
@@ -238,6 +242,11 @@ fn scene_json(
             .collect(),
         objects: &scene.layout.objects,
     };
-    // Only a map with keys that are no text could fail, and there is none.
-    serde_json::to_vec_pretty(&file).unwrap_or_default()
+    let mut target = AtomicFile::create(path)?;
+    let mut writer = BufWriter::new(target.file());
+    serde_json::to_writer_pretty(&mut writer, &file)?;
+    writer.flush()?;
+    drop(writer);
+    target.commit()?;
+    path.parent().map_or(Ok(()), sync_folder)
 }

@@ -396,8 +396,8 @@ mod tests {
         let cell = 1.5 * US_SURVEY_FOOT_M;
         let to_pixel = truth.geotransform();
         let (mut near, mut count) = (0, 0);
-        for (column, row) in (-30..30).flat_map(|c| (-30..30).map(move |r| (c, r))) {
-            let (x, y) = ((f64::from(column) + 0.5) * cell, -(f64::from(row) + 0.5) * cell);
+        for (column, row) in (-30_i64..30).flat_map(|c| (-30_i64..30).map(move |r| (c, r))) {
+            let (x, y) = ((column as f64 + 0.5) * cell, -(row as f64 + 0.5) * cell);
             let at = scene.frame.to_lonlat(x, y).expect("inverse");
             // By EPSG:3857's own formula and the geotransform that is in the file.
             let radius = crate::grid::WGS84_A;
