@@ -206,8 +206,8 @@ mod tests {
     #[test]
     fn a_plane_has_no_seams() {
         let m = measure([300, 200], &windows(), |[x, y]| 0.5 * x as f32 - 0.25 * y as f32);
-        // 32 to 256 by 32, then 236 and, from the last windows' ends, nothing new but 288.
-        let (columns, rows) = (10, 6);
+        // Starts at 32 to 224 and 236, ends at 64 to 288 besides; down 32 to 128, 136, 160 and 192.
+        let (columns, rows) = (10, 7);
         assert_eq!(m.across_border.count, columns * 200 + rows * 300);
         assert_eq!(m.across_border.count + m.inside.count, 299 * 200 + 199 * 300);
         assert_eq!(m.inside.p95_m, Some(0.5));
