@@ -34,9 +34,8 @@ pub fn distance_m(vertices: &[[f64; 3]], original: &[[u32; 3]], simplified: &[[u
     }
     let area: f64 = original.iter().map(|face| area(*face)).sum();
     let step = (2.0 * area / original.len() as f64).sqrt();
-    let tree = |faces: &[[[f64; 3]; 3]]| {
-        RTree::bulk_load(faces.iter().map(|face| Face(*face)).collect())
-    };
+    let tree =
+        |faces: &[[[f64; 3]; 3]]| RTree::bulk_load(faces.iter().map(|face| Face(*face)).collect());
     let there = largest(&original, &tree(&simplified), step, 0.0);
     largest(&simplified, &tree(&original), step, there).sqrt()
 }

@@ -134,8 +134,7 @@ fn collapse(
     // The caller's meshes are bounded; the library's own bounds are for files from strangers.
     let mut workspace = Workspace::new(Limits { max_bytes: usize::MAX, max_work: u64::MAX });
     let indices = mesh.triangles.as_flattened();
-    let kept =
-        collapse_edges(indices, Positions::from_packed(positions), settings, &mut workspace);
+    let kept = collapse_edges(indices, Positions::from_packed(positions), settings, &mut workspace);
     let kept = kept.map_err(|source| SimplifyError::Library {
         vertices: mesh.vertices.len(),
         triangles: mesh.triangles.len(),
