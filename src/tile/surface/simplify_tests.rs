@@ -143,7 +143,7 @@ fn flat_ground_collapses() {
     let slab = metres(&city, &tiles[0].1);
     assert!(slab.triangles.len() > 16_000);
     // A box has 12; the clamp bevels its edges by a hundredth of a pixel or level, which the first keeps.
-    for (error_m, most) in [(0.01, 700), (0.1, 50)] {
+    for (error_m, most) in [(0.1, 700), (0.5, 50)] {
         let (found, stated) = simplify(&slab, error(error_m), false).expect("simplifies");
         assert!(found.triangles.len() <= most, "{error_m}: {}", found.triangles.len());
         assert!(stated <= error_m && is_closed(&found));
