@@ -19,6 +19,7 @@ mod texture;
 pub use glb::write_glb;
 pub use obj::{write_material, write_obj};
 pub use ply::write_ply;
+pub use texture::png as texture_png;
 
 use crate::grid::LonLat;
 use sat3d_model::Image8;

@@ -9,7 +9,10 @@ fn wrong(image: &Image8, reason: impl Into<String>) -> MeshFileError {
 }
 
 /// An image as PNG, without a time or anything else that changes.
-pub(super) fn png(image: &Image8) -> Result<Vec<u8>, MeshFileError> {
+///
+/// # Errors
+/// [`MeshFileError::Texture`] for more than four channels.
+pub fn png(image: &Image8) -> Result<Vec<u8>, MeshFileError> {
     let color = match image.channels {
         1 => png::ColorType::Grayscale,
         2 => png::ColorType::GrayscaleAlpha,

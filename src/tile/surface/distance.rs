@@ -47,7 +47,7 @@ fn largest(faces: &[[[f64; 3]; 3]], to: &RTree<Face>, step: f64, mut most: f64) 
         for point in points(*face, step) {
             // Nearly always something is near enough, and the nearest need not be found.
             if to.locate_within_distance(point, most).next().is_none()
-                && let Some((_, squared)) = to.nearest_neighbor_iter_with_distance_2(&point).next()
+                && let Some((_, squared)) = to.nearest_neighbor_iter_with_distance_2(point).next()
             {
                 most = most.max(squared);
             }

@@ -1,9 +1,15 @@
 //! The city's surface: cut into tiles while it is made, welded, simplified and written afterwards.
 
 pub mod distance;
+pub mod output;
+pub mod parts;
 pub mod simplify;
+pub mod sink;
 pub mod store;
 pub mod weld;
+
+#[cfg(test)]
+mod tests;
 
 /// Columns and rows of model pixels of one tile.
 pub const TILE: u32 = 256;

@@ -3,40 +3,33 @@
 use super::MeshTile;
 use std::collections::HashMap;
 
-/// Joins meshes: vertices on open edges that have the same bits become one. Vertices and triangles stay in
-/// the order in which they come.
+/// Numbers the vertices of several meshes as those of one: vertices on open edges that have the same bits
+/// become one. All others stay as they are, in the order in which they come.
 #[derive(Debug, Default)]
 pub struct Welder {
-    mesh: MeshTile,
+    count: u32,
     /// Numbers of the vertices on open edges. Only looked up, so its order does not matter.
     border: HashMap<[u64; 3], u32>,
 }
 
 impl Welder {
-    /// Adds a mesh; all together have fewer than 2^32 vertices.
-    pub fn push(&mut self, tile: &MeshTile) {
+    /// The number in the whole of each vertex of the next mesh, and of each whether it is new: new ones have the
+    /// numbers that follow. All together have fewer than 2^32 vertices.
+    pub fn number(&mut self, tile: &MeshTile) -> Vec<(u32, bool)> {
         let open = on_border(&tile.triangles, tile.vertices.len());
-        let mut numbers = Vec::with_capacity(tile.vertices.len());
-        for (vertex, open) in tile.vertices.iter().zip(open) {
-            let next = self.mesh.vertices.len() as u32;
-            let number = if open {
-                *self.border.entry(vertex.map(f64::to_bits)).or_insert(next)
-            } else {
-                next
-            };
-            if number == next {
-                self.mesh.vertices.push(*vertex);
-            }
-            numbers.push(number);
-        }
-        let corners = tile.triangles.iter();
-        self.mesh.triangles.extend(corners.map(|c| c.map(|corner| numbers[corner as usize])));
-    }
-
-    /// The mesh.
-    #[must_use]
-    pub fn finish(self) -> MeshTile {
-        self.mesh
+        let vertices = tile.vertices.iter().zip(open);
+        vertices
+            .map(|(vertex, open)| {
+                let next = self.count;
+                let number = if open {
+                    *self.border.entry(vertex.map(f64::to_bits)).or_insert(next)
+                } else {
+                    next
+                };
+                self.count += u32::from(number == next);
+                (number, number == next)
+            })
+            .collect()
     }
 }
 
@@ -44,10 +37,15 @@ impl Welder {
 #[must_use]
 pub fn weld<'a>(tiles: impl IntoIterator<Item = &'a MeshTile>) -> MeshTile {
     let mut welder = Welder::default();
+    let mut mesh = MeshTile::default();
     for tile in tiles {
-        welder.push(tile);
+        let numbers = welder.number(tile);
+        let new = tile.vertices.iter().zip(&numbers).filter(|(_, (_, new))| *new);
+        mesh.vertices.extend(new.map(|(vertex, _)| *vertex));
+        let corners = tile.triangles.iter();
+        mesh.triangles.extend(corners.map(|c| c.map(|corner| numbers[corner as usize].0)));
     }
-    welder.finish()
+    mesh
 }
 
 /// Edges of one triangle only, lower corner first, ascending.
