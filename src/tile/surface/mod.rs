@@ -9,6 +9,10 @@ pub mod store;
 pub mod weld;
 
 #[cfg(test)]
+mod output_tests;
+#[cfg(test)]
+mod simplify_tests;
+#[cfg(test)]
 mod tests;
 
 /// Columns and rows of model pixels of one tile.

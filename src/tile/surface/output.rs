@@ -7,8 +7,8 @@ use super::weld::Welder;
 use super::{MeshTile, TILE};
 use crate::batch::{AtomicFile, sync_folder};
 use crate::mesh_file::{
-    MeshFileError, MeshFormat, MeshGeoreference, companions, texture_png, write_glb, write_material,
-    write_obj, write_ply,
+    MeshFileError, MeshFormat, MeshGeoreference, companions, texture_png, write_glb,
+    write_material, write_obj, write_ply,
 };
 use crate::tile::frame::LocalFrame;
 use crate::tile::slabs::Slabs;
@@ -183,7 +183,8 @@ pub fn write_mesh(
     let place = |point: [f64; 3]| frame.place(point);
     let limits = Limits { format: writer.format, colour: writer.colour, options };
     let fits = |piece: &Piece| limits.fit(piece);
-    let parts = Parts { store: &store, place: &place, target: options.target, fits: &fits, progress };
+    let parts =
+        Parts { store: &store, place: &place, target: options.target, fits: &fits, progress };
     writer.summary.parts = parts.each(|number, only, piece| {
         let bytes = limits.bytes(&piece);
         if bytes > options.part_bytes {
@@ -215,7 +216,9 @@ impl Limits<'_> {
             MeshFormat::Glb => (12 + if textured || coloured { 8 } else { 12 }, 12, 4096 + png),
             MeshFormat::Ply => (if coloured { 15 } else { 12 }, 13, 4096),
             // Lines of numbers of up to 14, 8 and (indices) 10 digits.
-            MeshFormat::Obj => (48 + if coloured { 27 } else { 0 } + if textured { 48 } else { 0 }, 72, 4096),
+            MeshFormat::Obj => {
+                (48 + if coloured { 27 } else { 0 } + if textured { 48 } else { 0 }, 72, 4096)
+            }
         };
         rest + piece.vertices * vertex + piece.triangles * triangle
     }
@@ -266,13 +269,8 @@ impl<'a> Writer<'a> {
             Some(folder) if !folder.as_os_str().is_empty() => folder,
             _ => Path::new("."),
         };
-        let summary = MeshSummary {
-            files: Vec::new(),
-            vertices: 0,
-            triangles: 0,
-            parts: 0,
-            error_m: 0.0,
-        };
+        let summary =
+            MeshSummary { files: Vec::new(), vertices: 0, triangles: 0, parts: 0, error_m: 0.0 };
         Ok(Self {
             store,
             frame,

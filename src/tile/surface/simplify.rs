@@ -2,11 +2,11 @@
 //!
 //! The triangles are chosen by meshoptimizer's edge collapses with quadrics (Garland and Heckbert 1997), in its Rust
 //! version. Its own error is a mean over planes, weighted by area, which the largest distance
-//! exceeds. So the two-sided distance between both surfaces is measured afterwards ([`distance_m`]), that
+//! exceeds. So the two-sided distance between both surfaces is measured afterwards ([`distance_m`](super::distance::distance_m)), that
 //! is what is stated, and a result beyond the wanted error is made again with a smaller one.
 
 use super::MeshTile;
-use super::distance::distance_m;
+use super::distance::distance_within;
 use meshoptimizer_rs::{
     Error, Limits, Positions, SimplifyOptions, SimplifySettings, Workspace,
     simplify as collapse_edges,
@@ -41,9 +41,12 @@ pub enum SimplifyError {
     },
 }
 
-/// Share of the wanted error that is asked of the library first: its mean over planes against the largest
-/// distance, as found on box cities (`docs/tile-mesh.md`).
-const FIRST: f64 = 0.5;
+/// Share of the wanted error that is asked of the library first: the largest distance is 3 to 16 times its
+/// mean over planes (`docs/tile-mesh.md`).
+const FIRST: f64 = 0.2;
+
+/// Share of the last limit that is tried next.
+const NEXT: f64 = 0.4;
 
 /// How often a smaller error is tried.
 const TRIES: usize = 6;
@@ -53,7 +56,8 @@ const NONE_M: f64 = 1e9;
 
 /// Simplifies a mesh whose vertices are in metres. With `lock_border` vertices on open edges stay and so do
 /// the edges. The vertices that remain are some of the mesh's, with their bits and in their order.
-/// Beside the mesh: the two-sided distance to the one given, metres, as [`distance_m`] measures it.
+/// Beside the mesh: the two-sided distance to the one given, metres, as
+/// [`distance_m`](super::distance::distance_m) measures it.
 ///
 /// # Errors
 /// [`SimplifyError`]; coordinates that are not finite are one.
@@ -90,14 +94,11 @@ pub fn simplify_placed(
     let mut limit_m = target.error_m.map_or(NONE_M, |error_m| error_m * FIRST);
     for _ in 0..TRIES {
         let triangles = collapse(&local, mesh, target.triangles, limit_m, lock_border)?;
-        let found_m = distance_m(&metres, &mesh.triangles, &triangles);
-        match target.error_m {
-            // With a little less than in proportion the next try mostly passes.
-            Some(error_m) if found_m > error_m => {
-                limit_m *= (0.8 * error_m / found_m).max(0.25);
-            }
-            _ => return Ok((compact(mesh, &triangles), found_m)),
+        let most_m = target.error_m.unwrap_or(f64::INFINITY);
+        if let Some(found_m) = distance_within(&metres, &mesh.triangles, &triangles, most_m) {
+            return Ok((compact(mesh, &triangles), found_m));
         }
+        limit_m *= NEXT;
     }
     Ok((mesh.clone(), 0.0))
 }
@@ -134,8 +135,7 @@ fn collapse(
     // The caller's meshes are bounded; the library's own bounds are for files from strangers.
     let mut workspace = Workspace::new(Limits { max_bytes: usize::MAX, max_work: u64::MAX });
     let indices = mesh.triangles.as_flattened();
-    let kept =
-        collapse_edges(indices, Positions::from_packed(positions), settings, &mut workspace);
+    let kept = collapse_edges(indices, Positions::from_packed(positions), settings, &mut workspace);
     let kept = kept.map_err(|source| SimplifyError::Library {
         vertices: mesh.vertices.len(),
         triangles: mesh.triangles.len(),

@@ -102,10 +102,8 @@ impl SlabMesher {
     /// [`MeshError::Layer`] where it has another number of values, [`MeshError::Axis`] where it is not the
     /// next one (or the slab was not primed), [`MeshError::TooManyVertices`] beyond 32 bits.
     pub fn push(&mut self, line: u32, values: &[f32]) -> Result<(), MeshError> {
-        let out_of_turn = MeshError::Axis {
-            before: f64::from(self.next) - 0.5,
-            next: f64::from(line) + 0.5,
-        };
+        let out_of_turn =
+            MeshError::Axis { before: f64::from(self.next) - 0.5, next: f64::from(line) + 0.5 };
         let Some(mesher) = &mut self.mesher else { return Err(out_of_turn) };
         if line != self.next || !self.lines.contains(&line) {
             return Err(out_of_turn);

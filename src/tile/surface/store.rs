@@ -235,7 +235,9 @@ fn entries(slabs: &Slabs<'_>, slab: u32) -> Result<Vec<TileEntry>, StoreError> {
     }
     let first = HEADER as u64 + ENTRY as u64 * u64::from(count);
     if length < first {
-        return Err(damaged(format!("{length} bytes, and the list of {count} tiles ends at {first}")));
+        return Err(damaged(format!(
+            "{length} bytes, and the list of {count} tiles ends at {first}"
+        )));
     }
     let mut list = vec![0; (first - HEADER as u64) as usize];
     get(HEADER as u64, &mut list)?;

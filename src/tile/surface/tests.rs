@@ -13,7 +13,8 @@ pub(super) struct Draws(pub u64);
 
 impl Draws {
     pub fn next(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        self.0 =
+            self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (self.0 >> 11) as f64 / (1_u64 << 53) as f64
     }
 }
@@ -31,14 +32,18 @@ pub(super) fn city(size: [u32; 2], levels: u32, along: Along) -> City {
 }
 
 /// Tiles of `side` x `side` columns of a city with densities by line, across, level.
-pub(super) fn tiles(city: &City, values: &[f32], isovalue: f64, side: u32) -> Vec<(TileIndex, MeshTile)> {
+pub(super) fn tiles(
+    city: &City,
+    values: &[f32],
+    isovalue: f64,
+    side: u32,
+) -> Vec<(TileIndex, MeshTile)> {
     let [lines, across] = city.lines_across();
     let size = across as usize * city.levels.z.len();
     let line = |index: u32| &values[index as usize * size..][..size];
     let mut all = Vec::new();
     for slab in 0..lines.div_ceil(side) {
-        let mut mesher =
-            SlabMesher::with_side(city, slab, isovalue, side).expect("a mesher");
+        let mut mesher = SlabMesher::with_side(city, slab, isovalue, side).expect("a mesher");
         if slab > 0 {
             mesher.prime(line(slab * side - 1)).expect("primes");
         }
@@ -115,7 +120,9 @@ fn random_values(draws: &mut Draws, count: usize) -> Vec<f32> {
 #[test]
 fn tiles_are_the_surface_of_the_whole() {
     let mut draws = Draws(7);
-    for (size, side) in [([19, 11], 8), ([8, 8], 8), ([33, 17], 16), ([9, 26], 8), ([1, 1], 8), ([3, 40], 8)] {
+    for (size, side) in
+        [([19, 11], 8), ([8, 8], 8), ([33, 17], 16), ([9, 26], 8), ([1, 1], 8), ([3, 40], 8)]
+    {
         for along in [Along::X, Along::Y] {
             for _ in 0..3 {
                 let city = city(size, 6, along);

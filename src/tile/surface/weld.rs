@@ -48,18 +48,22 @@ pub fn weld<'a>(tiles: impl IntoIterator<Item = &'a MeshTile>) -> MeshTile {
     mesh
 }
 
-/// Edges of one triangle only, lower corner first, ascending.
+/// Edges that have not as many triangles on one side as on the other, lower corner first, ascending; of fewer than
+/// 2^31 vertices. (Simplified noise may join sheets in one edge: four triangles, and still no hole.)
 #[must_use]
 pub fn open_edges(triangles: &[[u32; 3]]) -> Vec<[u32; 2]> {
     let mut edges: Vec<u64> = Vec::with_capacity(3 * triangles.len());
     for [a, b, c] in triangles {
         for (from, to) in [(a, b), (b, c), (c, a)] {
-            edges.push(u64::from(*from.min(to)) << 32 | u64::from(*from.max(to)));
+            let (low, high) = (u64::from(*from.min(to)), u64::from(*from.max(to)));
+            edges.push(low << 32 | high << 1 | u64::from(from < to));
         }
     }
     edges.sort_unstable();
-    let once = edges.chunk_by(|a, b| a == b).filter(|same| same.len() == 1);
-    once.map(|edge| [(edge[0] >> 32) as u32, edge[0] as u32]).collect()
+    let same = edges.chunk_by(|a, b| a >> 1 == b >> 1);
+    let open =
+        same.filter(|same| 2 * same.iter().filter(|edge| *edge & 1 == 1).count() != same.len());
+    open.map(|edge| [(edge[0] >> 32) as u32, (edge[0] as u32) >> 1]).collect()
 }
 
 /// Which vertices lie on open edges.
