@@ -180,6 +180,19 @@ pub fn write_tiles3d(
     progress: &Progress,
     interrupt: &Interrupt,
 ) -> Result<Tiles3dSummary, Tiles3dError> {
+    write_cut(slabs, frame, options, out, progress, interrupt, tree::LEVELS_PER_FILE)
+}
+
+/// [`write_tiles3d`] with so many levels in one file.
+fn write_cut(
+    slabs: &Slabs<'_>,
+    frame: &LocalFrame,
+    options: &Tiles3dOptions,
+    out: &Path,
+    progress: &Progress,
+    interrupt: &Interrupt,
+    levels_per_file: u32,
+) -> Result<Tiles3dSummary, Tiles3dError> {
     if !(options.error_m > 0.0 && options.error_m.is_finite()) {
         return Err(Tiles3dError::ErrorM(options.error_m));
     }
@@ -189,7 +202,8 @@ pub fn write_tiles3d(
         return Err(Tiles3dError::Empty);
     }
     let folder = AtomicFolder::create(out).map_err(Tiles3dError::io(out))?;
-    let forest = tree::Forest::new(&store, frame, options, &folder, progress, interrupt);
+    let mut forest = tree::Forest::new(&store, frame, options, &folder, progress, interrupt);
+    forest.levels_per_file = levels_per_file;
     let root = forest.build()?.ok_or(Tiles3dError::Empty)?;
     let document = tileset::document(slabs.city, frame, options, forest.step_m(), &root);
     let bytes = tileset::text(&document);
@@ -218,5 +232,7 @@ fn check_target(target: &Path) -> Result<(), Tiles3dError> {
     occupied("is a folder that holds no 3D Tiles; give another name or remove it")
 }
 
+#[cfg(test)]
+pub(crate) mod test_city;
 #[cfg(test)]
 mod tests;

@@ -16,7 +16,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Levels of one `tileset.json`: a city's tree is cut into files of at most 1365 tiles, so that neither the
 /// writer nor a viewer holds the whole list.
-const LEVELS_PER_FILE: u32 = 5;
+pub(super) const LEVELS_PER_FILE: u32 = 5;
 
 /// Pixels of a tile's picture that its error counts at least where the picture is coarser than the city's: a viewer
 /// that refines above 16 pixels of error (CesiumJS's default) then shows none larger than two.
@@ -285,10 +285,7 @@ impl<'a> Forest<'a> {
 }
 
 fn widen([low, high]: Bounds, at: &[f64; 3]) -> Bounds {
-    [
-        std::array::from_fn(|k| low[k].min(at[k])),
-        std::array::from_fn(|k| high[k].max(at[k])),
-    ]
+    [std::array::from_fn(|k| low[k].min(at[k])), std::array::from_fn(|k| high[k].max(at[k]))]
 }
 
 /// The smallest power of two of which 2^24 are as long as the city, metres: whole multiples of it, counted
