@@ -9,6 +9,7 @@ mod mesh_args;
 mod model;
 mod run;
 mod simulate;
+mod view;
 mod view_args;
 mod vigor;
 
@@ -40,6 +41,7 @@ pub(crate) enum Command {
     Infer(Box<infer::Args>),
     Run(run::Args),
     Simulate(simulate::Args),
+    View(view::Args),
     Completions(completions::Args),
     Vigor(vigor::Args),
 }
@@ -57,6 +59,7 @@ pub(crate) fn dispatch(command: &Command) -> anyhow::Result<ExitCode> {
         Command::Infer(args) => infer::run(args),
         Command::Run(args) => run::run(args),
         Command::Simulate(args) => simulate::run(args),
+        Command::View(args) => view::run(args),
         Command::Completions(args) => completions::run(args),
         Command::Vigor(args) => vigor::run(args),
     }
