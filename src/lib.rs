@@ -24,6 +24,7 @@ pub mod stac;
 pub mod table;
 pub mod tile;
 pub mod units;
+pub mod viewer;
 pub mod views;
 pub mod vigor;
 pub mod volume;

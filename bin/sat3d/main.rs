@@ -11,6 +11,7 @@ mod model;
 mod run;
 mod simulate;
 mod tile;
+mod view;
 mod view_args;
 mod vigor;
 
@@ -43,6 +44,7 @@ pub(crate) enum Command {
     Tile(Box<tile::Args>),
     Run(run::Args),
     Simulate(simulate::Args),
+    View(view::Args),
     Completions(completions::Args),
     Vigor(vigor::Args),
 }
@@ -61,6 +63,7 @@ pub(crate) fn dispatch(command: &Command) -> anyhow::Result<ExitCode> {
         Command::Tile(args) => tile::run(args),
         Command::Run(args) => run::run(args),
         Command::Simulate(args) => simulate::run(args),
+        Command::View(args) => view::run(args),
         Command::Completions(args) => completions::run(args),
         Command::Vigor(args) => vigor::run(args),
     }
