@@ -1,13 +1,14 @@
 //! The plan of an inference run: each step with its bound, cost and cause.
 
 use super::options::InferOptions;
-use super::{GROUND_TOLERANCE, Identity};
+use super::GROUND_TOLERANCE;
 use crate::footprint::{TRAINING_WIDTH_M, VerticalScale};
 use crate::illumination::Illumination;
 use crate::model::Device;
 use crate::model::mesh::MeshLattice;
 use crate::model::render::{DepthKind, RELEASED_RMS, STABLE_RMS, SampleCounts, Sampling};
 use crate::plan::{Bound, Plan, Step};
+use crate::weights::Identity;
 use serde_json::{Map, Value, json};
 
 /// Floating-point operations of the point head per point, density alone, before folding.

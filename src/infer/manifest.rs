@@ -2,7 +2,6 @@
 //!
 //! All but `run.json` depend on the inputs and the plan alone: no times, hosts, folders or thread counts.
 
-use super::identity::{Identity, whole_hash};
 use super::options::InferOptions;
 use super::outputs::SCENE_END;
 use super::record::Record;
@@ -13,7 +12,7 @@ use crate::footprint::TRAINING_WIDTH_M;
 use crate::model::{Checkpoint, Config};
 use crate::plan::Plan;
 use crate::table::{Column, Table, TableError, wkb};
-use crate::weights::Origin;
+use crate::weights::{Identity, Origin, whole_hash};
 use serde_json::{Value, json};
 use std::path::Path;
 

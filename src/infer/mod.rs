@@ -5,7 +5,6 @@
 //! another, since each takes all cores; the next is decoded and the last is written meanwhile.
 
 mod explain;
-mod identity;
 mod item;
 mod list;
 mod manifest;
@@ -15,7 +14,6 @@ mod record;
 mod renders;
 mod run;
 
-pub use identity::Identity;
 pub use list::{Entry, Kind};
 pub use options::{InferOptions, MeshRequest, Outputs, VolumeFormat, VolumeRequest};
 pub use record::Record;

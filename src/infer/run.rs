@@ -2,7 +2,6 @@
 
 use super::InferError;
 use super::explain::{self, Inputs};
-use super::identity::Identity;
 use super::item::{Workshop, fingerprint, other_ground};
 use super::list::{self, Entry, Kind};
 use super::manifest::{self, RunFacts};
@@ -18,7 +17,7 @@ use crate::model::render::SampleCounts;
 use crate::model::{Checkpoint, Config, Model};
 use crate::picture;
 use crate::plan::Plan;
-use crate::weights::{self, Origin, Weights};
+use crate::weights::{self, Identity, Origin, Weights};
 use serde::Serialize;
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};

@@ -6,6 +6,9 @@
 pub mod cache;
 #[cfg(feature = "fetch")]
 pub mod fetch;
+mod identity;
+
+pub use identity::{Identity, whole_hash};
 
 use cache::Cache;
 use sat3d_model::ModelError;

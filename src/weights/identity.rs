@@ -1,7 +1,6 @@
 //! Which weights were used, told apart without reading 1.5 GB.
 
-use super::InferError;
-use crate::model::Checkpoint;
+use crate::model::{Checkpoint, ModelError};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -26,9 +25,9 @@ impl Identity {
     ///
     /// # Errors
     /// The config cannot be read again.
-    pub fn of(checkpoint: &Checkpoint) -> Result<Self, InferError> {
+    pub fn of(checkpoint: &Checkpoint) -> Result<Self, ModelError> {
         let path = checkpoint.folder().join("config.json");
-        let config = std::fs::read(&path).map_err(InferError::io("read", &path))?;
+        let config = std::fs::read(&path).map_err(|source| ModelError::Io { path: path.clone(), source })?;
         let file = checkpoint.file();
         let bytes = file.bytes();
         // Eight bytes of length, then the header itself.
