@@ -52,7 +52,8 @@ PYTHON
     rm -rf "$FOLDER/sat3d-$size"
     /usr/bin/time -v -o "$FOLDER/time.txt" "$SAT3D" tile "$picture" --out "$FOLDER/sat3d-$size" --weights "$CHECKPOINT" \
         --stride "$STRIDE" --trim 32 --lattice reference --isovalue 4.5 --gsd 0.28 --window-gsd 0.28 \
-        --mesh city.ply --density volume.zarr --threads "$THREADS" --quiet >"$FOLDER/sat3d-$size.txt"
+        --mesh city.ply --density volume.zarr --mesh-color none --threads "$THREADS" --quiet --json \
+        >"$FOLDER/sat3d-$size.json"
     echo "sat3d $size $(awk '/Elapsed/ {print $NF} /Maximum resident/ {print $NF}' "$FOLDER/time.txt" | xargs)" >>"$FOLDER/rows.txt"
 done
 "$PYTHON" - "$FOLDER" "$STRIDE" <<'PYTHON'
@@ -94,7 +95,9 @@ for program in ("reference", "sat3d"):
     print(f"{program}: {start:.1f} s to start and {slope:.2f} s for each window (off by {worst:.0%} at most); "
           f"inside a large picture {each:.0f} windows per km2: {slope * each / 3600:.1f} hours per km2")
 for program, size, *_ in rows:
-    if program != "reference":
+    if program == "sat3d":
+        ours = json.load(open(f"{folder}/sat3d-{size}.json"))
+        print(f"sat3d {size}: {ours['window_seconds']:.1f} s in {ours['windows']} windows")
         continue
     theirs = json.load(open(f"{folder}/reference-{size}.json"))
     print(f"reference {size}: {theirs['seconds_in_windows']:.1f} s in windows, {theirs['seconds_in_network']:.1f} s of them in the network")

@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Runs `sat3d tile` over one picture for every stride and blend and prints a Markdown table: windows, seconds, seams. All runs
-# of a round follow one another before the next round begins; times are medians. `seams` is the run's own
-# measure (docs/tile.md): the mean jump of height across borders of windows over the mean jump elsewhere.
+# of a round follow one another before the next round begins; times are medians. Jumps are the run's own
+# measure (src/tile/seams.rs): mean differences of height between neighbouring pixels across borders of windows and
+# elsewhere, and the ratio of the two.
 #
 #   CHECKPOINT=weights IMAGE=city.png benches/peers/tile_seams.sh
 #
@@ -25,15 +26,13 @@ for ((round = 1; round <= ROUNDS; round++)); do
     for stride in $STRIDES; do
         for blend in $BLENDS; do
             rm -rf "$FOLDER/out"
-            start=$(date +%s.%N)
             # OPTIONS are words on purpose.
             # shellcheck disable=SC2086
             "$SAT3D" tile "$IMAGE" --out "$FOLDER/out" --weights "$CHECKPOINT" --stride "$stride" --blend "$blend" \
                 --dsm dsm.tif $OPTIONS --quiet --json >"$FOLDER/summary.json"
-            seconds=$(echo "$(date +%s.%N) - $start" | bc)
-            "$PYTHON" -c 'import json, sys; print(json.dumps({"stride": int(sys.argv[1]), "blend": sys.argv[2],
-"seconds": float(sys.argv[3]), "summary": json.load(open(sys.argv[4]))}))' \
-                "$stride" "$blend" "$seconds" "$FOLDER/summary.json" >>"$FOLDER/runs.jsonl"
+            "$PYTHON" -c 'import json, sys
+print(json.dumps({"stride": int(sys.argv[1]), "blend": sys.argv[2], "summary": json.load(open(sys.argv[3]))}))' \
+                "$stride" "$blend" "$FOLDER/summary.json" >>"$FOLDER/runs.jsonl"
         done
     done
 done
@@ -45,19 +44,15 @@ runs = {}
 for line in open(sys.argv[1]):
     run = json.loads(line)
     runs.setdefault((run["stride"], run["blend"]), []).append(run)
-
-
-def words(value):
-    if isinstance(value, dict):
-        return ", ".join(f"{key} {words(part)}" for key, part in value.items())
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
-
-
-print("| stride | blend | windows | seconds | seams |\n|---:|---|---:|---:|---|")
+print("| stride | blend | windows | seconds | jump across borders, m | elsewhere, m | ratio |")
+print("|---:|---|---:|---:|---:|---:|---:|")
 for (stride, blend), rounds in runs.items():
     summary = rounds[0]["summary"]
     # The same picture gives the same seams in every round.
     assert all(run["summary"]["seams"] == summary["seams"] for run in rounds), (stride, blend)
-    time = statistics.median(run["seconds"] for run in rounds)
-    print(f"| {stride} | {blend} | {summary['windows']} | {time:.2f} | {words(summary['seams'])} |")
+    time = statistics.median(run["summary"]["seconds"] for run in rounds)
+    seams = summary["seams"]
+    jumps = (seams["across_border"]["mean_m"], seams["inside"]["mean_m"], seams["ratio"])
+    jumps = " | ".join("" if value is None else f"{value:.3f}" for value in jumps)
+    print(f"| {stride} | {blend} | {summary['windows']} | {time:.1f} | {jumps} |")
 PYTHON
