@@ -66,7 +66,8 @@ impl WindowModel for Stub {
         let mut values = Vec::new();
         for x in left..left + i64::from(WINDOW) {
             for y in top..top + i64::from(WINDOW) {
-                let value = |level| (31 * left + 17 * top + 7 * x + 13 * y + 101 * level) % 1009;
+                let value =
+                    |level: i64| (31 * left + 17 * top + 7 * x + 13 * y + 101 * level) % 1009;
                 values.extend((0..3).map(|level| value(level) as f32 / 64.0));
             }
         }
