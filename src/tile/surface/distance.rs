@@ -3,9 +3,10 @@
 use rayon::prelude::*;
 use rstar::{AABB, PointDistance, RTree, RTreeObject};
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 /// A triangle that can be searched for.
-struct Face([[f64; 3]; 3]);
+struct Face([[f64; 3]; 3], [u32; 3]);
 
 impl RTreeObject for Face {
     type Envelope = AABB<[f64; 3]>;
@@ -30,43 +31,35 @@ pub fn distance_m(vertices: &[[f64; 3]], original: &[[u32; 3]], simplified: &[[u
     distance_within(vertices, original, simplified, f64::INFINITY).unwrap_or(f64::INFINITY)
 }
 
-/// [`distance_m`] if it is at most `limit_m`; a larger one is not measured to its end.
+/// [`distance_m`] if it is at most `limit_m`, otherwise the vertices of the original, ascending, at which it is
+/// larger.
 pub(super) fn distance_within(
     vertices: &[[f64; 3]],
     original: &[[u32; 3]],
     simplified: &[[u32; 3]],
     limit_m: f64,
-) -> Option<f64> {
-    let faces = |triangles: &[[u32; 3]]| -> Vec<[[f64; 3]; 3]> {
-        triangles.iter().map(|corners| corners.map(|c| vertices[c as usize])).collect()
+) -> Result<f64, Vec<u32>> {
+    let faces = |triangles: &[[u32; 3]]| -> Vec<Face> {
+        let places = |corners: &[u32; 3]| corners.map(|corner| vertices[corner as usize]);
+        triangles.iter().map(|corners| Face(places(corners), *corners)).collect()
     };
-    let used = |triangles: &[[u32; 3]]| -> Vec<[f64; 3]> {
-        let mut used = vec![false; vertices.len()];
-        for corner in triangles.iter().flatten() {
-            used[*corner as usize] = true;
-        }
-        vertices.iter().zip(used).filter(|(_, used)| *used).map(|(vertex, _)| *vertex).collect()
-    };
-    let corners = [used(original), used(simplified)];
-    let [original, simplified] = [faces(original), faces(simplified)];
     if original.is_empty() || simplified.is_empty() {
-        return Some(0.0);
+        return Ok(0.0);
     }
-    let area: f64 = original.iter().map(|face| area(*face)).sum();
-    let step = 2.0 * (2.0 * area / original.len() as f64).sqrt();
-    let search = Search { most: AtomicU64::new(0), limit: limit_m * limit_m };
-    let tree =
-        |faces: &[[[f64; 3]; 3]]| RTree::bulk_load(faces.iter().map(|face| Face(*face)).collect());
-    let tree_of_simplified = tree(&simplified);
-    search.corners(&corners[0], &tree_of_simplified);
-    search.between(&original, &tree_of_simplified, step);
-    if search.over() {
-        return None;
+    let sum: f64 = faces(original).iter().map(|face| area(face.0)).sum();
+    let step = 2.0 * (2.0 * sum / original.len() as f64).sqrt();
+    let search =
+        Search { most: AtomicU64::new(0), limit: limit_m * limit_m, far: Mutex::default() };
+    // The vertices of the simplified surface are the original's: they lie on both.
+    search.of_original(vertices, &faces(original), &RTree::bulk_load(faces(simplified)), step);
+    search.of_simplified(&faces(simplified), &RTree::bulk_load(faces(original)), step);
+    let mut far = search.far.into_inner().unwrap_or_else(PoisonError::into_inner);
+    if far.is_empty() {
+        return Ok(f64::from_bits(search.most.into_inner()).sqrt());
     }
-    let tree_of_original = tree(&original);
-    search.corners(&corners[1], &tree_of_original);
-    search.between(&simplified, &tree_of_original, step);
-    (!search.over()).then(|| search.most().sqrt())
+    far.sort_unstable();
+    far.dedup();
+    Err(far)
 }
 
 /// Points that a thread takes at a time.
@@ -78,44 +71,53 @@ struct Search {
     /// is below it at any time is below it in the end, so that the order of points does not matter.
     most: AtomicU64,
     limit: f64,
+    /// Vertices of the original near points that are further away than the limit.
+    far: Mutex<Vec<u32>>,
 }
 
 impl Search {
-    fn most(&self) -> f64 {
-        f64::from_bits(self.most.load(Ordering::Relaxed))
-    }
-
-    fn over(&self) -> bool {
-        self.most() > self.limit
-    }
-
-    fn corners(&self, points: &[[f64; 3]], to: &RTree<Face>) {
-        points.par_chunks(GROUP).for_each(|points| {
-            if !self.over() {
-                points.iter().for_each(|point| self.point(*point, to));
+    fn of_original(&self, vertices: &[[f64; 3]], faces: &[Face], to: &RTree<Face>, step: f64) {
+        let mut used: Vec<u32> = faces.iter().flat_map(|face| face.1).collect();
+        used.par_sort_unstable();
+        used.dedup();
+        used.par_chunks(GROUP).flatten_iter().for_each(|vertex| {
+            if self.point(vertices[*vertex as usize], to).is_some() {
+                self.note(&[*vertex]);
+            }
+        });
+        faces.par_chunks(GROUP).flatten_iter().for_each(|Face(face, corners)| {
+            let count = parts(*face, step);
+            if count > 1 && points(*face, count).any(|point| self.point(point, to).is_some()) {
+                self.note(corners);
             }
         });
     }
 
-    /// Points of triangles, but for the corners of those that need no others.
-    fn between(&self, faces: &[[[f64; 3]; 3]], to: &RTree<Face>, step: f64) {
-        faces.par_chunks(GROUP).for_each(|faces| {
-            for face in faces {
-                let count = parts(*face, step);
-                if count > 1 && !self.over() {
-                    points(*face, count).for_each(|point| self.point(point, to));
+    fn of_simplified(&self, faces: &[Face], to: &RTree<Face>, step: f64) {
+        faces.par_chunks(GROUP).flatten_iter().for_each(|Face(face, _)| {
+            let count = parts(*face, step);
+            for point in points(*face, count).filter(|_| count > 1) {
+                if let Some(nearest) = self.point(point, to) {
+                    self.note(&nearest.1);
                 }
             }
         });
     }
 
-    fn point(&self, point: [f64; 3], to: &RTree<Face>) {
+    fn note(&self, corners: &[u32]) {
+        self.far.lock().unwrap_or_else(PoisonError::into_inner).extend(corners);
+    }
+
+    /// The triangle that is nearest to a point beyond the limit.
+    fn point<'a>(&self, point: [f64; 3], to: &'a RTree<Face>) -> Option<&'a Face> {
+        let most = f64::from_bits(self.most.load(Ordering::Relaxed));
         // Nearly always something is near enough, and the nearest need not be found.
-        if to.locate_within_distance(point, self.most()).next().is_none()
-            && let Some((_, squared)) = to.nearest_neighbor_iter_with_distance_2(point).next()
-        {
-            self.most.fetch_max(squared.to_bits(), Ordering::Relaxed);
+        if to.locate_within_distance(point, most.min(self.limit)).next().is_some() {
+            return None;
         }
+        let (face, squared) = to.nearest_neighbor_iter_with_distance_2(point).next()?;
+        self.most.fetch_max(squared.to_bits(), Ordering::Relaxed);
+        (squared > self.limit).then_some(face)
     }
 }
 

@@ -3,13 +3,13 @@
 //! The triangles are chosen by meshoptimizer's edge collapses with quadrics (Garland and Heckbert 1997), in its Rust
 //! version. Its own error is a mean over planes, weighted by area, which the largest distance
 //! exceeds. So the two-sided distance between both surfaces is measured afterwards ([`distance_m`](super::distance::distance_m)), that
-//! is what is stated, and a result beyond the wanted error is made again with a smaller one.
+//! is what is stated, and a result beyond the wanted error is made again with the vertices locked at which it was.
 
 use super::MeshTile;
 use super::distance::distance_within;
 use meshoptimizer_rs::{
-    Error, Limits, Positions, SimplifyOptions, SimplifySettings, Workspace,
-    simplify as collapse_edges,
+    Attributes, Error, Limits, Positions, SimplifyOptions, SimplifySettings, VertexFlags,
+    Workspace, simplify_with_attributes,
 };
 
 /// How far to simplify. Of two limits the one that is reached first ends it; without any the mesh stays.
@@ -43,13 +43,16 @@ pub enum SimplifyError {
 
 /// Share of the wanted error that is asked of the library first: the largest distance is 3 to 16 times its
 /// mean over planes (`docs/tile-mesh.md`).
-const FIRST: f64 = 0.2;
+const FIRST: f64 = 0.5;
 
 /// Share of the last limit that is tried next.
 const NEXT: f64 = 0.4;
 
-/// How often a smaller error is tried.
-const TRIES: usize = 6;
+/// How often it is tried, the vertices locked that were too far off.
+const TRIES: usize = 8;
+
+/// Tries before the limit becomes smaller too.
+const LOCKED_TRIES: usize = 3;
 
 /// An error that nothing reaches, metres; its square is still far from the largest 32-bit float.
 const NONE_M: f64 = 1e9;
@@ -92,15 +95,34 @@ pub fn simplify_placed(
     let metres: Vec<[f64; 3]> = mesh.vertices.iter().map(|vertex| place(*vertex)).collect();
     let local = around_middle(&metres);
     let mut limit_m = target.error_m.map_or(NONE_M, |error_m| error_m * FIRST);
-    for _ in 0..TRIES {
-        let triangles = collapse(&local, mesh, target.triangles, limit_m, lock_border)?;
+    let mut flags = vec![VertexFlags::EMPTY; mesh.vertices.len()];
+    for attempt in 0..TRIES {
+        let triangles = collapse(&local, mesh, target.triangles, limit_m, lock_border, &flags)?;
         let most_m = target.error_m.unwrap_or(f64::INFINITY);
-        if let Some(found_m) = distance_within(&metres, &mesh.triangles, &triangles, most_m) {
-            return Ok((compact(mesh, &triangles), found_m));
+        match distance_within(&metres, &mesh.triangles, &triangles, most_m) {
+            Ok(found_m) => return Ok((compact(mesh, &triangles), found_m)),
+            Err(far) => lock_around(&far, mesh, &mut flags),
         }
-        limit_m *= NEXT;
+        if attempt >= LOCKED_TRIES {
+            limit_m *= NEXT;
+        }
     }
     Ok((mesh.clone(), 0.0))
+}
+
+/// Locks vertices and their neighbours.
+fn lock_around(far: &[u32], mesh: &MeshTile, flags: &mut [VertexFlags]) {
+    let mut near = vec![false; flags.len()];
+    for vertex in far {
+        near[*vertex as usize] = true;
+    }
+    for corners in &mesh.triangles {
+        if corners.iter().any(|corner| near[*corner as usize]) {
+            for corner in corners {
+                flags[*corner as usize] = VertexFlags::LOCK;
+            }
+        }
+    }
 }
 
 /// 32-bit positions around the middle of the mesh's box.
@@ -122,6 +144,7 @@ fn collapse(
     triangles: Option<usize>,
     limit_m: f64,
     lock_border: bool,
+    flags: &[VertexFlags],
 ) -> Result<Vec<[u32; 3]>, SimplifyError> {
     let mut options = SimplifyOptions::ERROR_ABSOLUTE;
     if lock_border {
@@ -134,8 +157,20 @@ fn collapse(
     };
     // The caller's meshes are bounded; the library's own bounds are for files from strangers.
     let mut workspace = Workspace::new(Limits { max_bytes: usize::MAX, max_work: u64::MAX });
-    let indices = mesh.triangles.as_flattened();
-    let kept = collapse_edges(indices, Positions::from_packed(positions), settings, &mut workspace);
+    // No attributes: only this form takes flags of vertices.
+    let kept = Attributes::from_interleaved(&[], mesh.vertices.len(), 0, 0, 0).and_then(|none| {
+        let positions = Positions::from_packed(positions);
+        let indices = mesh.triangles.as_flattened();
+        simplify_with_attributes(
+            indices,
+            positions,
+            none,
+            &[],
+            Some(flags),
+            settings,
+            &mut workspace,
+        )
+    });
     let kept = kept.map_err(|source| SimplifyError::Library {
         vertices: mesh.vertices.len(),
         triangles: mesh.triangles.len(),
