@@ -330,7 +330,7 @@ fn a_large_tree_is_cut_into_files() {
     assert_eq!(more, ["tileset-1-0-0.json", "tileset-1-0-1.json"]);
     let seen = |root: &Value| {
         let mut seen = Vec::new();
-        walk(&run, root, None, &mut |tile, _| {
+        walk(&run, &root["root"], None, &mut |tile, _| {
             seen.push((tile["content"].clone(), tile["geometricError"].clone(), bounds(tile)));
         });
         seen
