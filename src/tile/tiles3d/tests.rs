@@ -193,10 +193,10 @@ fn bounds(tile: &Value) -> [[f64; 3]; 2] {
 
 #[test]
 fn the_tree_is_whole_and_its_boxes_and_errors_are_true() {
-    // 3 x 2 tiles, the last ones narrow.
-    let run = Run::houses([600, 300], Along::X);
+    // 2 x 2 tiles, the last ones narrow.
+    let run = Run::houses([280, 270], Along::X);
     let summary = run.write(0.25).expect("writes");
-    assert_eq!(summary.tiles, [6, 2, 1]);
+    assert_eq!(summary.tiles, [4, 1]);
     let document = run.document(TILESET);
     let (mut names, mut previous) = (BTreeSet::new(), Vec::new());
     walk(&run, &document["root"], None, &mut |tile, parent| {
@@ -233,7 +233,7 @@ fn the_tree_is_whole_and_its_boxes_and_errors_are_true() {
     assert_eq!(summary.bytes, written);
     // Nothing is drawn from so far away that the whole city is below the error.
     let whole = document["geometricError"].as_f64().expect("a number");
-    assert!(whole >= 160.0 && whole >= summary.error_m[2], "{whole}");
+    assert!(whole >= 100.0 && whole >= summary.error_m[1], "{whole}");
     assert!(summary.error_m[0] <= 0.25 + summary.step_m, "{summary:?}");
     assert!(summary.triangles[1] < summary.triangles[0], "{summary:?}");
     let extras = &document["asset"]["extras"];
@@ -243,12 +243,12 @@ fn the_tree_is_whole_and_its_boxes_and_errors_are_true() {
 
 #[test]
 fn tiles_of_all_levels_meet_in_the_same_bits() {
-    let run = Run::houses([768, 200], Along::X);
+    let run = Run::houses([768, 60], Along::X);
     run.write(0.3).expect("writes");
     // Three tiles in a row: the city's outer sides are closed, so open edges are borders between tiles.
     let [west, middle, east] = [0, 1, 2].map(|column| run.glb(&format!("tiles/0/0/{column}.glb")));
     let [pair, alone] = [0, 1].map(|column| run.glb(&format!("tiles/1/0/{column}.glb")));
-    assert!(east.border().len() > 200, "{}", east.border().len());
+    assert!(east.border().len() > 100, "{}", east.border().len());
     assert_eq!(east.border(), pair.border());
     assert_eq!(alone.border(), pair.border());
     let both: BTreeSet<_> = west.border().union(&east.border()).copied().collect();
@@ -307,20 +307,20 @@ fn pictures_lie_on_their_pixels() {
 
 #[test]
 fn the_number_of_threads_does_not_matter() {
-    let run = Run::houses([300, 520], Along::Y);
+    let run = Run::houses([40, 530], Along::Y);
     let mut written = Vec::new();
     for threads in [1, 5] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
         pool.install(|| run.write(0.5)).expect("writes");
         written.push(run.files());
     }
-    assert!(written[0].len() > 9);
+    assert!(written[0].len() == 7);
     assert!(written[0] == written[1]);
 }
 
 #[test]
 fn a_large_tree_is_cut_into_files() {
-    let run = Run::houses([600, 300], Along::X);
+    let run = Run::houses([530, 40], Along::X);
     let whole = run.write(0.5).expect("writes");
     let (files, root) = (run.files(), run.document(TILESET));
     let cut = run.write_cut(0.5, 1).expect("writes");
@@ -330,7 +330,7 @@ fn a_large_tree_is_cut_into_files() {
     assert_eq!(more, ["tileset-1-0-0.json", "tileset-1-0-1.json"]);
     let seen = |root: &Value| {
         let mut seen = Vec::new();
-        walk(&run, root, None, &mut |tile, _| {
+        walk(&run, &root["root"], None, &mut |tile, _| {
             seen.push((tile["content"].clone(), tile["geometricError"].clone(), bounds(tile)));
         });
         seen
@@ -344,7 +344,7 @@ fn a_large_tree_is_cut_into_files() {
 #[test]
 fn areas_without_a_surface_have_no_tiles() {
     let gap = |at: [u32; 2]| if at[0] < 300 { (f64::NAN, [0; 3]) } else { houses(at) };
-    let run = Run::new(city([600, 200], seattle([600, 200]), Along::X, LEVELS), gap);
+    let run = Run::new(city([530, 60], seattle([530, 60]), Along::X, LEVELS), gap);
     assert_eq!(run.write(0.5).expect("writes").tiles, [2, 2, 1]);
     assert!(!run.out().join("tiles/0/0/0.glb").exists());
     let nothing = |_| (f64::NAN, [0; 3]);
@@ -407,7 +407,7 @@ fn the_validator_finds_no_fault() {
     // Cesium's 3d-tiles-validator, which runs Khronos's for the contents.
     let tool = std::env::var_os("SAT3D_TEST_3D_TILES_VALIDATOR")
         .unwrap_or_else(|| "3d-tiles-validator".into());
-    let run = Run::houses([600, 300], Along::X);
+    let run = Run::houses([530, 40], Along::X);
     let report = run.folder.path().join("report.json");
     for levels_per_file in [1, 5] {
         run.write_cut(0.3, levels_per_file).expect("writes");
