@@ -39,7 +39,10 @@ export class Measure {
 		this.group.visible = this.points.length > 0;
 		this.panel.hidden = this.points.length === 0;
 		if (!this.points.length) return;
-		this.#geometry.setFromPoints(this.points);
+		// A buffer cannot grow, so each number of points has one of its own.
+		this.#geometry.dispose();
+		this.#geometry = new BufferGeometry().setFromPoints(this.points);
+		for (const part of this.group.children) part.geometry = this.#geometry;
 		const [first, second] = this.points;
 		const tables = this.points.map((point, index) => ({ title: this.points.length > 1 ? `Point ${index + 1}` : 'Point', rows: place.describe(point) }));
 		if (second) {

@@ -7,6 +7,8 @@ import { WGS84_ELLIPSOID } from '3d-tiles-renderer/three';
 const UPRIGHT = new Matrix4().makeRotationX(-Math.PI / 2);
 // A root frame counts as upright if its z axis is within 0.1 degrees of the ellipsoid's normal.
 const STRAIGHT = Math.cos(MathUtils.degToRad(0.1));
+// Metres from the ellipsoid within which a tileset's middle lies if it is Earth-centred.
+const NEAR = 50_000;
 
 export class Place {
 	// `toScene`: from the file's coordinates to the scene's. `toEarth`: from the scene's to Earth-centred,
@@ -51,7 +53,9 @@ export function placeOfTileset(tiles) {
 	const sphere = new Sphere();
 	tiles.getBoundingSphere(sphere);
 	const { ellipsoid } = tiles;
-	if (sphere.center.length() < 0.5 * Math.min(...ellipsoid.radius.toArray())) {
+	// Northings of UTM are long too: only what is near the ellipsoid is Earth-centred.
+	const near = Math.abs(ellipsoid.getPositionElevation(sphere.center)) < NEAR + sphere.radius;
+	if (!near) {
 		// Local, z up: the base is the lowest point.
 		const box = new Box3();
 		tiles.getBoundingBox(box);
@@ -63,8 +67,8 @@ export function placeOfTileset(tiles) {
 	const normal = new Vector3();
 	const up = new Vector3().setFromMatrixColumn(root, 2).normalize();
 	const place = {};
-	const near = origin.distanceTo(sphere.center) < 20 * sphere.radius + 1000;
-	if (near && up.dot(ellipsoid.getPositionToNormal(origin, normal)) > STRAIGHT) {
+	const close = origin.distanceTo(sphere.center) < 20 * sphere.radius + 1000;
+	if (close && up.dot(ellipsoid.getPositionToNormal(origin, normal)) > STRAIGHT) {
 		ellipsoid.getPositionToCartographic(origin, place);
 	} else {
 		ellipsoid.getPositionToCartographic(sphere.center, place);
