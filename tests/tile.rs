@@ -84,7 +84,7 @@ fn heights(path: &Path) -> (usize, usize, Vec<f32>) {
 }
 
 const EVERYTHING: &str = "--stride 256 --quiet --dsm city.tif --preview --mesh city.ply --tiles3d tiles \
-                          --density volume.zarr --error 2";
+                          --density volume.zarr --isovalue 26 --error 2";
 
 /// A city of three slabs with every output, made once.
 fn whole() -> &'static Place {
@@ -323,7 +323,7 @@ fn the_city_lies_where_the_picture_lies() {
         &mut place.tile(
             &picture,
             "out",
-            "--stride 256 --quiet --dsm d.tif --tiles3d t --mesh m.glb --error 3 --base-height 12",
+            "--stride 256 --quiet --dsm d.tif --tiles3d t --mesh m.glb --isovalue 26 --error 3 --base-height 12",
         ),
         0,
     );
