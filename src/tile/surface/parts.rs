@@ -15,8 +15,12 @@ use super::{MeshTile, TILE, TileIndex};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Groups of up to 2^2 x 2^2 tiles are worked on by all cores at once, larger ones one after another.
-const TOGETHER: u32 = 2;
+/// Groups of up to 2^3 x 2^3 tiles are worked on by all cores at once, larger ones one after another.
+const TOGETHER: u32 = 3;
+
+/// Triangles of the largest group that is simplified again to an error: in a larger one the seams that became free
+/// are some hundredths of it, and it is done on one core.
+const AGAIN: u64 = 4_000_000;
 
 /// A piece of the city.
 #[derive(Clone, Debug, PartialEq)]
@@ -244,13 +248,21 @@ impl Parts<'_> {
         }
         whole.content = Content::Simplified(weld(&meshes));
         drop(meshes);
+        if self.is_enough(&whole) {
+            return Ok(Group::One(Some(whole)));
+        }
         let slack = 1.0 + 3.0 / f64::from(1_u32 << node.level.min(30));
         Ok(Group::One(Some(self.simplified(whole, 0.5, slack)?)))
     }
 
     /// A piece that will not be joined any more, with all that the target grants.
     fn finished(&self, piece: Piece) -> Result<Piece, PartsError> {
-        self.simplified(piece, 1.0, 1.0)
+        if self.is_enough(&piece) { Ok(piece) } else { self.simplified(piece, 1.0, 1.0) }
+    }
+
+    /// Whether a group is too large to be simplified again, without a number of triangles to reach.
+    fn is_enough(&self, group: &Piece) -> bool {
+        self.target.triangles.is_none() && group.triangles > AGAIN
     }
 
     /// Spends a share of the error that is left; the piece's share of the triangles, times a slack, remains.
