@@ -22,6 +22,10 @@ const TOGETHER: u32 = 3;
 /// are some hundredths of it, and it is done on one core.
 const AGAIN: u64 = 4_000_000;
 
+/// Share of the triangles above which another simplification is not worth its time: of noise, and of groups where
+/// only seams became free.
+const MOST: f64 = 0.8;
+
 /// A piece of the city.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Piece {
@@ -37,6 +41,8 @@ pub struct Piece {
     pub rectangle: [Range<u32>; 2],
     /// Triangles of its tiles as they are stored.
     stored: u64,
+    /// Whether the last simplification left more than [`MOST`].
+    is_done: bool,
 }
 
 /// What a piece is made of.
@@ -207,6 +213,7 @@ impl Parts<'_> {
             error_m: 0.0,
             rectangle: [range(column, size[0]), range(row, size[1])],
             stored: entry.triangles.into(),
+            is_done: false,
         };
         if self.target != Target::default() {
             piece.content = Content::Simplified(self.store.read_tile(index)?);
@@ -227,6 +234,7 @@ impl Parts<'_> {
             whole.triangles += piece.triangles;
             whole.stored += piece.stored;
             whole.error_m = whole.error_m.max(piece.error_m);
+            whole.is_done &= piece.is_done;
             for (all, one) in whole.rectangle.iter_mut().zip(&piece.rectangle) {
                 *all = all.start.min(one.start)..all.end.max(one.end);
             }
@@ -260,9 +268,10 @@ impl Parts<'_> {
         if self.is_enough(&piece) { Ok(piece) } else { self.simplified(piece, 1.0, 1.0) }
     }
 
-    /// Whether a group is too large to be simplified again, without a number of triangles to reach.
+    /// Whether a group is too large to be simplified again or would stay much as it is, and there is no number of
+    /// triangles to reach.
     fn is_enough(&self, group: &Piece) -> bool {
-        self.target.triangles.is_none() && group.triangles > AGAIN
+        self.target.triangles.is_none() && (group.triangles > AGAIN || group.is_done)
     }
 
     /// Spends a share of the error that is left; the piece's share of the triangles, times a slack, remains.
@@ -283,6 +292,7 @@ impl Parts<'_> {
             *triangles = (*triangles as f64 * part * slack).floor() as usize;
         }
         let (simple, error_m) = simplify_placed(mesh, self.place, target, true)?;
+        piece.is_done = simple.triangles.len() as f64 > MOST * mesh.triangles.len() as f64;
         piece.vertices = simple.vertices.len() as u64;
         piece.triangles = simple.triangles.len() as u64;
         piece.error_m += error_m;
