@@ -60,8 +60,8 @@ impl<'a> Original<'a> {
             is_beyond: AtomicBool::new(false),
             far: Mutex::default(),
         };
-        self.to_simplified(simplified, &search);
-        self.from_simplified(simplified, &search);
+        self.ask_simplified(simplified, &search);
+        self.ask_original(simplified, &search);
         if !search.is_beyond.into_inner() {
             return Ok(f64::from_bits(search.most.into_inner()).sqrt());
         }
@@ -71,7 +71,7 @@ impl<'a> Original<'a> {
         Err(far)
     }
 
-    fn to_simplified(&self, simplified: &[[u32; 3]], search: &Search) {
+    fn ask_simplified(&self, simplified: &[[u32; 3]], search: &Search) {
         let cells = CELLS.max(4 * self.triangles.len());
         let to = Near::new(self.vertices, simplified, SIDES[1] * self.step, cells);
         // Vertices that remain lie on both.
@@ -95,7 +95,7 @@ impl<'a> Original<'a> {
         });
     }
 
-    fn from_simplified(&self, simplified: &[[u32; 3]], search: &Search) {
+    fn ask_original(&self, simplified: &[[u32; 3]], search: &Search) {
         self.groups(simplified).flat_map_iter(|(_, group)| group).for_each(|corners| {
             let face = self.places(corners);
             let count = parts(face, self.step);
