@@ -1,6 +1,8 @@
 //! The city's surface: cut into tiles while it is made, welded, simplified and written afterwards.
 
 pub mod distance;
+mod near;
+mod older;
 pub mod output;
 pub mod parts;
 pub mod simplify;
@@ -8,6 +10,8 @@ pub mod sink;
 pub mod store;
 pub mod weld;
 
+#[cfg(test)]
+mod near_tests;
 #[cfg(test)]
 mod output_tests;
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! The city's surface as mesh files: one, or several where one would be too large.
 
+use super::older::older;
 use super::parts::{Content, Parts, PartsError, Piece};
 use super::simplify::Target;
 use super::store::SurfaceStore;
@@ -163,7 +164,8 @@ pub enum CityMeshError {
 /// `.png` for a texture). Where one file would pass the limits there are several, `<name>_1.glb`,
 /// `<name>_2.glb`, ... quarter by quarter: north-west, north-east, south-west, south-east, and so within each
 /// ([`Parts`]). They have one origin, and the vertices on their common sides have the same bits. The
-/// memory taken is that of the largest part. All files appear when all are complete. `progress` is told how many
+/// memory taken is that of the largest part. All files appear when all are complete; then those of an earlier run
+/// into other parts are removed. `progress` is told how many
 /// more tiles are done.
 ///
 /// # Errors
@@ -341,12 +343,18 @@ impl<'a> Writer<'a> {
         Ok(())
     }
 
-    /// All files take their places.
+    /// All files take their places; those of an earlier run into other parts go.
     fn finish(mut self) -> Result<MeshSummary, CityMeshError> {
         for (file, written) in self.files {
             let path = self.folder.join(&written.name);
             file.commit().map_err(|source| CityMeshError::Io { path, source })?;
             self.summary.files.push(written);
+        }
+        let name = format!("{}.{}", self.stem, self.format.extension());
+        let is_whole = self.summary.files.iter().any(|file| file.name == name);
+        let parts = if is_whole { None } else { Some(self.summary.parts) };
+        for path in older(&self.folder, &self.stem, self.format, parts) {
+            std::fs::remove_file(&path).map_err(|source| CityMeshError::Io { path, source })?;
         }
         let path = self.folder.clone();
         sync_folder(&self.folder).map_err(|source| CityMeshError::Io { path, source })?;

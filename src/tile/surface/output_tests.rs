@@ -13,7 +13,7 @@ use crate::batch::write_atomic;
 use crate::tile::city::{Along, City};
 use crate::tile::frame::LocalFrame;
 use crate::tile::slabs::{FOLDER, Kind, Slabs};
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::Path;
 
 /// The slabs of a city, written into a folder.
@@ -209,6 +209,53 @@ fn textures_split_by_their_side() {
     let smaller = CityMeshOptions { texture_side: 299, ..options };
     let summary = write(&city, folder.path(), "c.glb", &smaller).expect("writes");
     assert_eq!(names(summary), ["c_1.glb", "c_2.glb", "c_3.glb", "c_4.glb"]);
+}
+
+#[test]
+fn files_of_an_earlier_run_go() {
+    let (city, values) = small(Along::X);
+    let folder = tempfile::tempdir().expect("a folder");
+    write_slabs(&city, &values, folder.path());
+    let names = || {
+        let entries = std::fs::read_dir(folder.path()).expect("lists");
+        let names = entries.map(|entry| entry.expect("an entry").file_name().into_string());
+        names.map(|name| name.expect("text")).filter(|name| name != FOLDER).collect::<BTreeSet<_>>()
+    };
+    // Another city's, another format's, no numbers that are written, behind a gap, somebody's picture.
+    let others =
+        ["cc.obj", "c.glb", "c_1.glb", "c_01.obj", "c_x.obj", "c_6.obj", "c_6.png", "d_1.obj"];
+    for name in others {
+        std::fs::write(folder.path().join(name), "mine").expect("writes");
+    }
+    let one = CityMeshOptions { colour: CityMeshColour::Texture, ..CityMeshOptions::default() };
+    let four = CityMeshOptions { texture_side: 299, ..one.clone() };
+    let plain = CityMeshOptions { colour: CityMeshColour::None, ..one.clone() };
+    let parts = |number: &str| ["obj", "mtl", "png"].map(|ending| format!("c{number}.{ending}"));
+    let whole: Vec<String> = parts("").to_vec();
+    let quarters: Vec<String> = ["_1", "_2", "_3", "_4"].into_iter().flat_map(parts).collect();
+    for (options, wanted) in [(&four, &quarters), (&one, &whole), (&four, &quarters)] {
+        write(&city, folder.path(), "c.obj", options).expect("writes");
+        let wanted = wanted.iter().map(String::as_str).chain(others);
+        assert_eq!(names(), wanted.map(str::to_owned).collect());
+    }
+    // A fifth part of which there was one, whose picture is not its material's.
+    for (name, text) in [("c_5.obj", ""), ("c_5.mtl", "map_Kd other.png\n"), ("c_5.png", "")] {
+        std::fs::write(folder.path().join(name), text).expect("writes");
+    }
+    let plain = CityMeshOptions { colour: CityMeshColour::None, ..CityMeshOptions::default() };
+    write(&city, folder.path(), "c.obj", &plain).expect("writes");
+    // With it the sixth: there is no gap any more.
+    let left = ["c.obj", "c_5.mtl", "c_5.png"];
+    let others = others.into_iter().filter(|name| *name != "c_6.obj");
+    assert_eq!(names(), left.into_iter().chain(others.clone()).map(str::to_owned).collect());
+    // One numbered file alone is no part.
+    std::fs::write(folder.path().join("c_1.obj"), "mine").expect("writes");
+    write(&city, folder.path(), "c.obj", &plain).expect("writes");
+    assert!(names().contains("c_1.obj"));
+    let mut others = others.chain(["c_1.obj"]);
+    assert!(others.all(|name| {
+        std::fs::read(folder.path().join(name)).is_ok_and(|bytes| bytes == b"mine")
+    }));
 }
 
 #[test]

@@ -15,8 +15,16 @@ use super::{MeshTile, TILE, TileIndex};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Groups of up to 2^2 x 2^2 tiles are worked on by all cores at once, larger ones one after another.
-const TOGETHER: u32 = 2;
+/// Groups of up to 2^3 x 2^3 tiles are worked on by all cores at once, larger ones one after another.
+const TOGETHER: u32 = 3;
+
+/// Triangles of the largest group that is simplified again to an error: in a larger one the seams that became free
+/// are some hundredths of it, and it is done on one core.
+const AGAIN: u64 = 4_000_000;
+
+/// Share of the triangles above which another simplification is not worth its time: of noise, and of groups where
+/// only seams became free.
+const MOST: f64 = 0.8;
 
 /// A piece of the city.
 #[derive(Clone, Debug, PartialEq)]
@@ -33,6 +41,8 @@ pub struct Piece {
     pub rectangle: [Range<u32>; 2],
     /// Triangles of its tiles as they are stored.
     stored: u64,
+    /// Whether the last simplification left more than [`MOST`].
+    is_done: bool,
 }
 
 /// What a piece is made of.
@@ -203,6 +213,7 @@ impl Parts<'_> {
             error_m: 0.0,
             rectangle: [range(column, size[0]), range(row, size[1])],
             stored: entry.triangles.into(),
+            is_done: false,
         };
         if self.target != Target::default() {
             piece.content = Content::Simplified(self.store.read_tile(index)?);
@@ -223,6 +234,7 @@ impl Parts<'_> {
             whole.triangles += piece.triangles;
             whole.stored += piece.stored;
             whole.error_m = whole.error_m.max(piece.error_m);
+            whole.is_done &= piece.is_done;
             for (all, one) in whole.rectangle.iter_mut().zip(&piece.rectangle) {
                 *all = all.start.min(one.start)..all.end.max(one.end);
             }
@@ -244,13 +256,22 @@ impl Parts<'_> {
         }
         whole.content = Content::Simplified(weld(&meshes));
         drop(meshes);
+        if self.is_enough(&whole) {
+            return Ok(Group::One(Some(whole)));
+        }
         let slack = 1.0 + 3.0 / f64::from(1_u32 << node.level.min(30));
         Ok(Group::One(Some(self.simplified(whole, 0.5, slack)?)))
     }
 
     /// A piece that will not be joined any more, with all that the target grants.
     fn finished(&self, piece: Piece) -> Result<Piece, PartsError> {
-        self.simplified(piece, 1.0, 1.0)
+        if self.is_enough(&piece) { Ok(piece) } else { self.simplified(piece, 1.0, 1.0) }
+    }
+
+    /// Whether a group is too large to be simplified again or would stay much as it is, and there is no number of
+    /// triangles to reach.
+    fn is_enough(&self, group: &Piece) -> bool {
+        self.target.triangles.is_none() && (group.triangles > AGAIN || group.is_done)
     }
 
     /// Spends a share of the error that is left; the piece's share of the triangles, times a slack, remains.
@@ -271,6 +292,7 @@ impl Parts<'_> {
             *triangles = (*triangles as f64 * part * slack).floor() as usize;
         }
         let (simple, error_m) = simplify_placed(mesh, self.place, target, true)?;
+        piece.is_done = simple.triangles.len() as f64 > MOST * mesh.triangles.len() as f64;
         piece.vertices = simple.vertices.len() as u64;
         piece.triangles = simple.triangles.len() as u64;
         piece.error_m += error_m;

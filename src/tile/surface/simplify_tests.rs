@@ -135,6 +135,21 @@ fn the_stated_error_holds_and_the_border_stays() {
 }
 
 #[test]
+fn a_larger_error_leaves_fewer_triangles() {
+    for noise in [0.0, 0.3] {
+        let city = city([72, 64], LEVELS, Along::X);
+        let whole =
+            weld(tiles(&city, &box_city(&city, noise), 5.0, 128).iter().map(|(_, tile)| tile));
+        let whole = metres(&city, &whole);
+        let counts = [0.1, 0.25, 0.5, 1.0].map(|error_m| {
+            simplify(&whole, error(error_m), true).expect("simplifies").0.triangles.len()
+        });
+        assert!(counts.is_sorted_by(|more, fewer| fewer <= more), "{noise}: {counts:?}");
+        assert!(counts[3] * 2 < counts[0], "{noise}: {counts:?}");
+    }
+}
+
+#[test]
 fn flat_ground_collapses() {
     let city = city([64, 64], 8, Along::Y);
     let line: Vec<f32> = city.levels.z.iter().map(|z| if *z < -0.5 { 9.0 } else { 1.0 }).collect();
