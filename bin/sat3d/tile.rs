@@ -233,7 +233,8 @@ fn metres(text: &str) -> Result<f64, String> {
 /// Whatever keeps the run from its work.
 pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     if let Some(Command::Merge(args)) = &args.command {
-        let summary = tile::merge(&args.out, &args.parts, console::quiet(), &Interrupt::on_signals())?;
+        let summary =
+            tile::merge(&args.out, &args.parts, console::quiet(), &Interrupt::on_signals())?;
         report(&summary, &args.out, args.json)?;
         return Ok(summary.exit_code());
     }
@@ -379,7 +380,8 @@ fn words(summary: &TileSummary, out: &Path) -> String {
     }
     if let Some(facts) = &summary.facts {
         if facts.empty_windows > 0 {
-            let _ = writeln!(text, "  {:>8}  windows skipped: no data in them", facts.empty_windows);
+            let _ =
+                writeln!(text, "  {:>8}  windows skipped: no data in them", facts.empty_windows);
         }
         if facts.no_data > 0 {
             let share = 100.0 * facts.no_data as f64 / facts.columns as f64;
@@ -388,10 +390,16 @@ fn words(summary: &TileSummary, out: &Path) -> String {
         let nothing = facts.columns - facts.no_data - facts.heights;
         if nothing > 0 {
             let share = 100.0 * nothing as f64 / facts.columns as f64;
-            let _ = writeln!(text, "  {share:>7.2}%  of the pixels without a height: no surface was met");
+            let _ = writeln!(
+                text,
+                "  {share:>7.2}%  of the pixels without a height: no surface was met"
+            );
         }
         if let (Some(low), Some(mean), Some(high)) = (facts.min_m, facts.mean_m, facts.max_m) {
-            let _ = writeln!(text, "  heights {low:.2} to {high:.2} m, mean {mean:.2} m, above the scene's bottom");
+            let _ = writeln!(
+                text,
+                "  heights {low:.2} to {high:.2} m, mean {mean:.2} m, above the scene's bottom"
+            );
         }
         if let Some(seams) = facts.seams.as_ref().filter(|seams| seams.across_border.count > 0) {
             let _ = writeln!(
@@ -413,7 +421,8 @@ fn words(summary: &TileSummary, out: &Path) -> String {
         }
     }
     for output in &summary.outputs {
-        let files = if output.files > 1 { format!(", {} files", output.files) } else { String::new() };
+        let files =
+            if output.files > 1 { format!(", {} files", output.files) } else { String::new() };
         let _ = writeln!(
             text,
             "  {}  {:.1} MB{files}",
@@ -422,14 +431,20 @@ fn words(summary: &TileSummary, out: &Path) -> String {
         );
     }
     if summary.interrupted {
-        text.push_str("  interrupted: finished slabs are kept; run the same command again to continue\n");
+        text.push_str(
+            "  interrupted: finished slabs are kept; run the same command again to continue\n",
+        );
     } else if summary.part {
         let _ = writeln!(
             text,
             "next: sat3d tile merge --out {} (when all parts are done; folders of other parts behind it)",
             out.display()
         );
-    } else if summary.outputs.iter().any(|output| output.name.ends_with('/') && !output.name.ends_with(".zarr/")) {
+    } else if summary
+        .outputs
+        .iter()
+        .any(|output| output.name.ends_with('/') && !output.name.ends_with(".zarr/"))
+    {
         let _ = writeln!(text, "next: sat3d view {}", out.display());
     }
     text

@@ -1,7 +1,7 @@
 //! The plan of an inference run: each step with its bound, cost and cause.
 
-use super::options::InferOptions;
 use super::GROUND_TOLERANCE;
+use super::options::InferOptions;
 use crate::footprint::{TRAINING_WIDTH_M, VerticalScale};
 use crate::illumination::Illumination;
 use crate::model::Device;

@@ -1,11 +1,11 @@
 //! The work on one image: decode, network, field, heights, encoded files.
 
+use super::GROUND_TOLERANCE;
 use super::list::{Entry, Kind};
 use super::options::InferOptions;
 use super::outputs::{Heights, NOTE_FOOTPRINT, NOTE_LIGHT, NOTE_SAMPLES, NOTE_WEIGHTS, NamedBytes};
 use super::record::{GroundFrom, Record};
 use super::renders::Subject;
-use super::GROUND_TOLERANCE;
 use crate::batch::{Interrupt, OutputFile, Product, Record as _};
 use crate::footprint::{Footprint, Place, TRAINING_WIDTH_M};
 use crate::illumination::{self, Illumination};

@@ -148,8 +148,11 @@ impl Engine<'_> {
             return Ok(());
         }
         let [x, y] = start;
-        let grid = (self.model.densities(&picture, start))
-            .map_err(|reason| TileError::Window { x, y, reason })?;
+        let grid = (self.model.densities(&picture, start)).map_err(|reason| TileError::Window {
+            x,
+            y,
+            reason,
+        })?;
         let expected = [WINDOW as usize, WINDOW as usize, self.city.levels.z.len()];
         if grid.shape() != expected {
             let reason = format!("densities of {:?} points, not {expected:?}", grid.shape());
@@ -206,7 +209,9 @@ impl Lines<'_> {
             let line = self.next;
             sums.take(line, &mut densities, &mut weights).map_err(TileError::sums)?;
             let valid = self.valid(line)?;
-            for (at, (column, weight)) in densities.chunks_exact_mut(levels).zip(&weights).enumerate() {
+            for (at, (column, weight)) in
+                densities.chunks_exact_mut(levels).zip(&weights).enumerate()
+            {
                 if *weight <= 0.0 || valid.is_some_and(|valid| !valid[at]) {
                     column.fill(f32::NAN);
                 } else if *weight < WHOLE {

@@ -77,7 +77,11 @@ impl WindowSource for Plain {
             return Ok(None);
         }
         let holds = |row: u32, column: u32| self.holds(column.into(), row.into());
-        Ok(Some(rows.flat_map(|row| columns.clone().map(move |c| (row, c))).map(|(r, c)| holds(r, c)).collect()))
+        Ok(Some(
+            rows.flat_map(|row| columns.clone().map(move |c| (row, c)))
+                .map(|(r, c)| holds(r, c))
+                .collect(),
+        ))
     }
 }
 
@@ -199,12 +203,16 @@ fn a_part_has_the_same_bits_as_the_whole() {
         for (stride, trim, blend) in
             [(128, 0, Blend::Mean), (64, 32, Blend::Gaussian), (100, 10, Blend::Hann)]
         {
-            let case = Case { along, differs: 0.37, ..Case::plain([700, 610], stride, trim, blend) };
+            let case =
+                Case { along, differs: 0.37, ..Case::plain([700, 610], stride, trim, blend) };
             let whole = case.lines(None);
             for range in [255..512_u32, 511..600, 0..256, 300..301] {
                 let part = case.lines(Some(range.clone()));
                 for (line, densities) in &part.lines {
-                    assert_eq!(densities, &whole.lines[*line as usize].1, "{along:?} {range:?} {line}");
+                    assert_eq!(
+                        densities, &whole.lines[*line as usize].1,
+                        "{along:?} {range:?} {line}"
+                    );
                 }
             }
         }
@@ -216,7 +224,8 @@ fn the_direction_does_not_matter() {
     let [x, y] = [Along::X, Along::Y].map(|along| {
         let case = Case { along, differs: 0.5, ..Case::plain([420, 380], 96, 20, Blend::Hann) };
         let kept = case.lines(None);
-        (0..420).flat_map(|x| (0..380).map(move |y| (x, y)))
+        (0..420)
+            .flat_map(|x| (0..380).map(move |y| (x, y)))
             .map(|(x, y)| case.at(&kept, x, y, 2))
             .collect::<Vec<_>>()
     });
@@ -256,9 +265,14 @@ fn no_data_is_left_out_and_not_guessed() {
             Case { along, differs: 0.9, holes, ..Case::plain([1000, 400], 256, 0, Blend::Mean) };
         let kept = case.lines(None);
         assert!(kept.windows[1] > 0, "some windows hold nothing");
-        for (x, y, holds) in
-            [(0, 0, true), (449, 399, true), (450, 0, false), (999, 399, false), (105, 55, false), (99, 55, true)]
-        {
+        for (x, y, holds) in [
+            (0, 0, true),
+            (449, 399, true),
+            (450, 0, false),
+            (999, 399, false),
+            (105, 55, false),
+            (99, 55, true),
+        ] {
             assert_eq!(!case.at(&kept, x, y, 0).is_nan(), holds, "{along:?} {x} {y}");
         }
     }
@@ -320,9 +334,12 @@ fn the_column_integral_is_infers_stable_rule() {
 #[test]
 fn empty_and_full_columns() {
     let integral = ColumnIntegral::new(&city([1, 1], Along::Y));
-    let columns = [[0.0; 3], [f32::NAN; 3], [1e30; 3], [0.0, 0.0, 1e-3], [1e-30, 0.0, 0.0]].concat();
+    let columns =
+        [[0.0; 3], [f32::NAN; 3], [1e30; 3], [0.0, 0.0, 1e-3], [1e-30, 0.0, 0.0]].concat();
     let heights = integral.heights(&columns);
-    assert!(heights[0].is_nan() && heights[1].is_nan() && heights[3].is_nan() && heights[4].is_nan());
+    assert!(
+        heights[0].is_nan() && heights[1].is_nan() && heights[3].is_nan() && heights[4].is_nan()
+    );
     // All light ends at the very top.
     assert!((heights[2] - 64.48).abs() < 1e-4, "{}", heights[2]);
     // One level of density s between -0.45 and 0.2: the expected end has a closed form.

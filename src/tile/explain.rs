@@ -80,14 +80,23 @@ fn picture_steps(inputs: &Inputs<'_>) -> Vec<Step> {
             [
                 "two passes over the picture, once for all windows",
                 "pixels of another size than the network's",
-                if same { "the picture has the model's pixels already" } else { "bit-equal to Pillow's" },
+                if same {
+                    "the picture has the model's pixels already"
+                } else {
+                    "bit-equal to Pillow's"
+                },
             ],
         ),
         Step {
             reason: format!(
                 "one ground sample distance for the whole picture, {across:.4} x {down:.4} m, that of its centre"
             ),
-            ..step("scale", true, "at the centre", ["none", "Mercator's scale grows with latitude", ""])
+            ..step(
+                "scale",
+                true,
+                "at the centre",
+                ["none", "Mercator's scale grows with latitude", ""],
+            )
         },
         step(
             "no-data",
@@ -136,8 +145,12 @@ fn window_steps(options: &TileOptions, inputs: &Inputs<'_>) -> Vec<Step> {
                     "",
                     "windows are joined where their columns are the same",
                     match options.lattice {
-                        TileLattice::Pixels => "columns at the pixels' centres, equal in all windows",
-                        TileLattice::Reference => "the released grid, whose columns drift by up to one voxel",
+                        TileLattice::Pixels => {
+                            "columns at the pixels' centres, equal in all windows"
+                        }
+                        TileLattice::Reference => {
+                            "the released grid, whose columns drift by up to one voxel"
+                        }
                     },
                 ],
             )
@@ -228,7 +241,12 @@ fn height_steps(options: &TileOptions, inputs: &Inputs<'_>) -> Vec<Step> {
         ),
         Step {
             bound: Bound::vertical(2.0 * unit_m * f64::from(f32::EPSILON) / 2.0),
-            ..step("storage", dsm.is_some(), "f32", ["none", "numpy and GDAL read f32", "metres above the cube's bottom"])
+            ..step(
+                "storage",
+                dsm.is_some(),
+                "f32",
+                ["none", "numpy and GDAL read f32", "metres above the cube's bottom"],
+            )
         },
     ]
 }
@@ -280,7 +298,11 @@ fn surface_steps(options: &TileOptions, inputs: &Inputs<'_>) -> Vec<Step> {
                 Some(CityMeshColour::Vertices) => "the picture at each vertex",
                 _ => "the picture",
             },
-            ["three bytes per pixel", "a mesh that shows the ground", "the picture from above, on walls too"],
+            [
+                "three bytes per pixel",
+                "a mesh that shows the ground",
+                "the picture from above, on walls too",
+            ],
         ),
         Step {
             bound: Bound {
@@ -294,7 +316,11 @@ fn surface_steps(options: &TileOptions, inputs: &Inputs<'_>) -> Vec<Step> {
                     || "levels of detail".to_owned(),
                     |tiles| format!("finest level within {} m", tiles.error_m),
                 ),
-                ["a tree of simplified tiles", "browsers draw what they see", asked(tiles.is_some())],
+                [
+                    "a tree of simplified tiles",
+                    "browsers draw what they see",
+                    asked(tiles.is_some()),
+                ],
             )
         },
         step(

@@ -224,8 +224,8 @@ pub fn finish(
     if let Some(name) = &job.outputs.density {
         note(name);
         let weights = Some(job.weights_sampled_sha256.as_str());
-        let description = volume::describe(city, job.metres_per_unit, weights)
-            .map_err(TileError::Input)?;
+        let description =
+            volume::describe(city, job.metres_per_unit, weights).map_err(TileError::Input)?;
         volume::finish(city, out, &out.join(name), description)?;
         names.push(name.clone());
     }

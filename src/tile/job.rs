@@ -31,7 +31,9 @@ impl Job {
     /// The folder holds something else.
     pub fn of(description: &Value) -> Result<Self, TileError> {
         serde_json::from_value(description["job"].clone()).map_err(|error| {
-            TileError::Input(format!("the journals there do not describe a city of this program: {error}"))
+            TileError::Input(format!(
+                "the journals there do not describe a city of this program: {error}"
+            ))
         })
     }
 

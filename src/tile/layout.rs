@@ -77,7 +77,9 @@ impl Default for WindowOptions {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LayoutError {
     /// No stride.
-    #[error("--stride 0: windows would never move; give 1 to {WINDOW} (pixels), 128 as in the paper")]
+    #[error(
+        "--stride 0: windows would never move; give 1 to {WINDOW} (pixels), 128 as in the paper"
+    )]
     NoStride,
     /// Pixels that no window covers.
     #[error(
@@ -252,7 +254,10 @@ mod tests {
                         }
                     }
                     for (pixel, sum) in sums.iter().enumerate() {
-                        assert!((sum - 1.0).abs() < 1e-6, "{blend:?} {length} {stride} {trim}: {sum} at {pixel}");
+                        assert!(
+                            (sum - 1.0).abs() < 1e-6,
+                            "{blend:?} {length} {stride} {trim}: {sum} at {pixel}"
+                        );
                     }
                 }
             }

@@ -22,9 +22,9 @@ pub mod tiles3d;
 mod volume;
 mod writer;
 
-pub mod spool;
 pub mod dsm;
 pub mod seams;
+pub mod spool;
 
 pub use column::ColumnIntegral;
 pub use engine::{Engine, LineSink, Outcome, WindowModel, WindowSource};
@@ -36,8 +36,8 @@ pub use options::{
     Tiles3dRequest,
 };
 pub use record::SlabRecord;
-pub use surface::output::CityMeshColour;
 pub use run::{Prepared, TileSummary, merge, prepare};
+pub use surface::output::CityMeshColour;
 
 use crate::batch::JournalError;
 use crate::model::ModelError;

@@ -36,11 +36,7 @@ impl TileOutputs {
     #[must_use]
     pub fn of_stem(stem: &str) -> Self {
         Self {
-            dsm: Some(DsmRequest {
-                file: format!("{stem}_dsm.tif"),
-                preview: false,
-                t_srs: None,
-            }),
+            dsm: Some(DsmRequest { file: format!("{stem}_dsm.tif"), preview: false, t_srs: None }),
             mesh: Some(CityMeshRequest::new(format!("{stem}.glb"), MeshFormat::Glb)),
             density: None,
             tiles3d: None,

@@ -1,5 +1,6 @@
 //! From options to a finished city: plan, windows, slabs, outputs.
 
+use super::TileError;
 use super::city::{Along, City};
 use super::engine::{Engine, Outcome};
 use super::explain::{self, Inputs};
@@ -15,7 +16,6 @@ use super::spool::{Spool, SpoolError};
 use super::sums::Sums;
 use super::volume::{self, VolumeSink};
 use super::writer::{Setting, SlabWriter};
-use super::TileError;
 use crate::batch::{
     ExitCode, FolderLock, Header, Interrupt, Journal, Journals, Progress, Status, Verify, join,
 };
@@ -95,13 +95,9 @@ pub fn prepare(mut options: TileOptions) -> Result<Prepared, TileError> {
     check_numbers(&options)?;
     let picture = picture::open(&options.input)?;
     let mut warnings = picture.warnings().to_vec();
-    let ground = ground::model_size(
-        picture.size(),
-        picture.place(),
-        options.gsd_m,
-        options.window_gsd_m,
-    )
-    .map_err(|source| TileError::Ground { path: options.input.clone(), source })?;
+    let ground =
+        ground::model_size(picture.size(), picture.place(), options.gsd_m, options.window_gsd_m)
+            .map_err(|source| TileError::Ground { path: options.input.clone(), source })?;
     warnings.extend(ground.warnings.iter().cloned());
     if !options.outputs.any() {
         options.outputs = TileOutputs::of_stem(&stem_of(&options.input));
@@ -187,7 +183,9 @@ fn check_numbers(options: &TileOptions) -> Result<(), TileError> {
         return wrong(format!("--isovalue {}: must be a density above 0", options.isovalue));
     }
     if let Some(gsd) = options.window_gsd_m.filter(|gsd| !(1e-3..=1e4).contains(gsd)) {
-        return wrong(format!("--window-gsd {gsd}: must be 0.001 to 10000 (metres per model pixel)"));
+        return wrong(format!(
+            "--window-gsd {gsd}: must be 0.001 to 10000 (metres per model pixel)"
+        ));
     }
     if let Some(gsd) = options.gsd_m.into_iter().flatten().find(|gsd| !(1e-3..=1e4).contains(gsd)) {
         return wrong(format!("--gsd {gsd}: must be 0.001 to 10000 (metres per pixel)"));
@@ -215,7 +213,10 @@ fn check_names(options: &TileOptions) -> Result<(), TileError> {
         let path = options.out.join(name);
         let same = |a: &Path, b: &Path| matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b);
         if same(&path, &options.input) {
-            return wrong(format!("{}: the picture would be replaced by an output; use another --out", path.display()));
+            return wrong(format!(
+                "{}: the picture would be replaced by an output; use another --out",
+                path.display()
+            ));
         }
     }
     Ok(())
@@ -300,9 +301,8 @@ impl Prepared {
         std::fs::create_dir_all(&slabs).map_err(TileError::io("make the folder", &slabs))?;
         let (mut records, todo) = self.sort_out(earlier.records);
         summary.kept = records.len();
-        let outcome = pool.install(|| {
-            self.make(&todo, &mut journal, &mut records, &mut summary, stop)
-        })?;
+        let outcome =
+            pool.install(|| self.make(&todo, &mut journal, &mut records, &mut summary, stop))?;
         summary.done = records.len();
         summary.interrupted = outcome == Outcome::Stopped;
         if !summary.interrupted {
@@ -424,7 +424,8 @@ impl Prepared {
 
     fn volume_description(&self) -> Result<crate::volume::VolumeDescription, TileError> {
         let weights = Some(self.identity.sampled_sha256.as_str());
-        volume::describe(&self.job.city, self.job.metres_per_unit, weights).map_err(TileError::Input)
+        volume::describe(&self.job.city, self.job.metres_per_unit, weights)
+            .map_err(TileError::Input)
     }
 
     /// The picture at model resolution; `None` where a stop was asked for.
@@ -500,7 +501,6 @@ pub fn merge(
         ..TileSummary::default()
     })
 }
-
 
 impl TileSummary {
     /// What the process ends with.

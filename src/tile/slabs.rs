@@ -70,7 +70,12 @@ impl Slabs<'_> {
         self.read(Kind::Colours, 3, rectangle)
     }
 
-    fn read(&self, kind: Kind, size: usize, [columns, rows]: [Range<u32>; 2]) -> io::Result<Vec<u8>> {
+    fn read(
+        &self,
+        kind: Kind,
+        size: usize,
+        [columns, rows]: [Range<u32>; 2],
+    ) -> io::Result<Vec<u8>> {
         let width = columns.len();
         let mut out = vec![0; width * rows.len() * size];
         for slab in 0..self.city.slabs() {

@@ -28,7 +28,10 @@ pub struct Sums {
 impl std::fmt::Debug for Sums {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let place = if matches!(self.store, Store::File(_)) { "file" } else { "memory" };
-        f.debug_struct("Sums").field("in", &place).field("lines", &self.lines).finish_non_exhaustive()
+        f.debug_struct("Sums")
+            .field("in", &place)
+            .field("lines", &self.lines)
+            .finish_non_exhaustive()
     }
 }
 
@@ -126,7 +129,12 @@ impl Sums {
     ///
     /// # Errors
     /// Those of the file.
-    pub fn take(&mut self, line: u32, sums: &mut Vec<f32>, weights: &mut Vec<f32>) -> io::Result<()> {
+    pub fn take(
+        &mut self,
+        line: u32,
+        sums: &mut Vec<f32>,
+        weights: &mut Vec<f32>,
+    ) -> io::Result<()> {
         let length = self.across * self.levels;
         let place = line as usize % self.lines;
         let of_line = &mut self.weights[place * self.across..][..self.across];
@@ -189,10 +197,8 @@ mod tests {
 
     fn stub(lines: &Range<u32>, across: &Range<u32>, weight: f32) -> Stub {
         let value = |line: u32, at: u32| vec![line as f32, at as f32, weight];
-        let levels = lines
-            .clone()
-            .flat_map(|line| across.clone().map(move |at| value(line, at)))
-            .collect();
+        let levels =
+            lines.clone().flat_map(|line| across.clone().map(move |at| value(line, at))).collect();
         Stub { levels, across: across.clone(), first: lines.start, weight }
     }
 

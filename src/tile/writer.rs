@@ -95,9 +95,7 @@ impl<'a> SlabWriter<'a> {
 
     fn begin(&mut self, slab: u32) -> Result<Open, TileError> {
         let mut mesher = match self.isovalue {
-            Some(isovalue) => {
-                Some(SlabMesher::new(self.city, slab, isovalue)?)
-            }
+            Some(isovalue) => Some(SlabMesher::new(self.city, slab, isovalue)?),
             None => None,
         };
         if let (Some(mesher), Some((_, before))) = (&mut mesher, &self.before) {

@@ -27,7 +27,8 @@ impl Identity {
     /// The config cannot be read again.
     pub fn of(checkpoint: &Checkpoint) -> Result<Self, ModelError> {
         let path = checkpoint.folder().join("config.json");
-        let config = std::fs::read(&path).map_err(|source| ModelError::Io { path: path.clone(), source })?;
+        let config =
+            std::fs::read(&path).map_err(|source| ModelError::Io { path: path.clone(), source })?;
         let file = checkpoint.file();
         let bytes = file.bytes();
         // Eight bytes of length, then the header itself.
