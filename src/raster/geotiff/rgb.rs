@@ -267,7 +267,7 @@ mod tests {
                         let gsd = footprint.gsd_m;
                         assert!(gsd.iter().all(|g| (g - 0.17).abs() < 0.01), "{gsd:?}");
                     }
-                    let same = files.drain(..).collect::<Vec<_>>();
+                    let same = std::mem::take(&mut files);
                     assert!(same.windows(2).all(|pair| pair[0] == pair[1]));
                 }
             }

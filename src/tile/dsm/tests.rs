@@ -1,6 +1,6 @@
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 use super::*;
-use crate::footprint::{Footprint, Place};
+use crate::footprint::Footprint;
 use crate::grid::{ImageGrid, LonLat};
 use crate::raster::geotiff::encode_cog;
 use crate::raster::{OpenOptions, RasterReader, TiffReader};

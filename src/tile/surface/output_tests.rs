@@ -97,8 +97,11 @@ fn tiles_come_back_and_damage_is_found() {
     }
 }
 
-/// Positions, colours and triangles of a binary PLY of this program.
-fn ply(path: &Path, coloured: bool) -> (Vec<[u32; 3]>, Vec<[u8; 3]>, Vec<[u32; 3]>) {
+/// Positions, colours and triangles.
+type Ply = (Vec<[u32; 3]>, Vec<[u8; 3]>, Vec<[u32; 3]>);
+
+/// What a binary PLY of this program holds.
+fn ply(path: &Path, coloured: bool) -> Ply {
     let bytes = std::fs::read(path).expect("reads");
     let end = b"end_header\n";
     let start = bytes.windows(end.len()).position(|part| part == end).expect("an end") + end.len();
@@ -229,7 +232,6 @@ fn files_of_an_earlier_run_go() {
     }
     let one = CityMeshOptions { colour: CityMeshColour::Texture, ..CityMeshOptions::default() };
     let four = CityMeshOptions { texture_side: 299, ..one.clone() };
-    let plain = CityMeshOptions { colour: CityMeshColour::None, ..one.clone() };
     let parts = |number: &str| ["obj", "mtl", "png"].map(|ending| format!("c{number}.{ending}"));
     let whole: Vec<String> = parts("").to_vec();
     let quarters: Vec<String> = ["_1", "_2", "_3", "_4"].into_iter().flat_map(parts).collect();

@@ -107,9 +107,10 @@ impl Content<'_> {
         let start = out.len();
         out.extend(positions.iter().flatten().flat_map(|value| value.to_le_bytes()));
         for vertex in &self.mesh.vertices {
-            for axis in 0..2 {
-                let cover = f64::from(self.texture.size[axis]) * f64::from(self.texel);
-                let share = (vertex[axis] - f64::from(self.corner[axis])) / cover;
+            let corner_and_size = self.corner.iter().zip(&self.texture.size);
+            for (at, (corner, size)) in vertex.iter().zip(corner_and_size) {
+                let cover = f64::from(*size) * f64::from(self.texel);
+                let share = (at - f64::from(*corner)) / cover;
                 let share = (share.clamp(0.0, 1.0) * f64::from(u16::MAX)).round() as u16;
                 out.extend(share.to_le_bytes());
             }
