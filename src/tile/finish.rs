@@ -170,7 +170,7 @@ pub fn finish(
             tracing::info!("writing {name}");
         }
     };
-    let (mut names, mut notes) = (Vec::new(), Vec::<String>::new());
+    let mut names = Vec::new();
     let windows = job.axis_windows()?;
     if let Some(request) = &job.outputs.dsm {
         note(&request.file);
@@ -187,7 +187,9 @@ pub fn finish(
         };
         let written = write_dsm(&slabs, &options, &mut |_, _| {})?;
         facts.seams = written.seams;
-        notes.extend(written.warnings);
+        for warning in &written.warnings {
+            tracing::warn!("{warning}");
+        }
         names.push(written.dsm.file);
         names.extend(written.preview.map(|preview| preview.file));
     }

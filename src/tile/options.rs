@@ -14,9 +14,8 @@ use std::path::PathBuf;
 pub const ISOVALUE: f32 = 5.0;
 /// Memory for the sums of open lines unless more is allowed, bytes.
 pub const MEMORY: u64 = 4 << 30;
-/// Error of the finest level of 3D Tiles unless another is asked for, metres: half the height of a level of density
-/// by the published scale.
-pub const TILES3D_ERROR_M: f64 = 0.1;
+/// Error of the finest level of 3D Tiles unless another is asked for, metres: about a model pixel.
+pub const TILES3D_ERROR_M: f64 = 0.25;
 
 /// What is written; names are files and folders in the output folder.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -2,9 +2,11 @@
 
 use super::TileError;
 use super::city::{Along, City};
+use super::dsm::DsmGrid;
 use super::engine::{Engine, Outcome};
 use super::explain::{self, Inputs};
 use super::finish::{self, CityFacts, CityOutput};
+use super::frame::LocalFrame;
 use super::ground::{self, ModelGround};
 use super::job::Job;
 use super::layout::{AxisWindows, WINDOW};
@@ -14,6 +16,7 @@ use super::record::SlabRecord;
 use super::slabs::FOLDER;
 use super::spool::{Spool, SpoolError};
 use super::sums::Sums;
+use super::tiles3d::Tiles3dError;
 use super::volume::{self, VolumeSink};
 use super::writer::{Setting, SlabWriter};
 use crate::batch::{
@@ -111,6 +114,7 @@ pub fn prepare(mut options: TileOptions) -> Result<Prepared, TileError> {
     let job = job(&options, &ground, &model, &identity)?;
     let windows = job.axis_windows()?;
     let city = &job.city;
+    check_place(city, &options.outputs)?;
     let [lines, across] = city.lines_across();
     let line_bytes = Sums::line_bytes(across, city.levels.z.len());
     let open_bytes = line_bytes * u64::from(WINDOW.min(lines));
@@ -222,6 +226,18 @@ fn check_names(options: &TileOptions) -> Result<(), TileError> {
     Ok(())
 }
 
+/// What outputs need of the place is looked at before hours of work and not after them.
+fn check_place(city: &City, outputs: &TileOutputs) -> Result<(), TileError> {
+    if let Some(dsm) = &outputs.dsm {
+        let t_srs = dsm.t_srs.as_deref().map(finish::parse_srs).transpose()?;
+        DsmGrid::new(city, t_srs.as_ref())?;
+    }
+    if outputs.needs_surface() {
+        LocalFrame::new(city, 0.0)?;
+    }
+    Ok(())
+}
+
 fn stem_of(path: &Path) -> String {
     path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
@@ -308,13 +324,22 @@ impl Prepared {
         if !summary.interrupted {
             journal.complete(options.shard, u64::from(self.job.city.slabs()))?;
             if options.shard.is_whole() {
-                let (facts, outputs) = pool.install(|| {
+                let made = pool.install(|| {
                     finish::finish(out, &header, &self.job, &records, options.quiet, stop)
-                })?;
-                summary.facts = Some(facts);
-                summary.outputs = outputs;
-                summary.seconds = started.elapsed().as_secs_f64();
-                finish::write_json(&out.join("run.json"), &self.run_json(&summary))?;
+                });
+                match made {
+                    // The slabs are there: the next run makes the outputs.
+                    Err(TileError::Tiles3d(Tiles3dError::Interrupted)) => {
+                        summary.interrupted = true;
+                    }
+                    made => {
+                        let (facts, outputs) = made?;
+                        summary.facts = Some(facts);
+                        summary.outputs = outputs;
+                        summary.seconds = started.elapsed().as_secs_f64();
+                        finish::write_json(&out.join("run.json"), &self.run_json(&summary))?;
+                    }
+                }
             }
         }
         summary.seconds = started.elapsed().as_secs_f64();
