@@ -18,9 +18,8 @@ use std::path::{Path, PathBuf};
 /// A city from one big picture: one seamless DSM, mesh and density volume.
 ///
 /// Windows slide over the picture, the network makes each a density field, and the fields are averaged where
-/// they overlap. Memory grows with the picture's shorter side alone. Without --dsm, --mesh, --density and
-/// --tiles3d, the DSM and the mesh are written as <stem>_dsm.tif and <stem>.glb. A second run continues where
-/// the first ended.
+/// they overlap. Memory grows with the picture's shorter side alone. Where no output is named, the DSM and the
+/// mesh are written as <stem>_dsm.tif and <stem>.glb. A second run continues where the first ended.
 #[derive(clap::Args, Debug)]
 #[command(
     args_conflicts_with_subcommands = true,
@@ -61,10 +60,6 @@ struct TileArgs {
     /// Where the network runs: cpu, cuda, cuda:<number>, wgpu
     #[arg(long, value_name = "DEVICE", default_value_t = Device::Cpu)]
     device: Device,
-    #[command(flatten, next_help_heading = "Windows")]
-    windows: WindowArgs,
-    #[command(flatten, next_help_heading = "Outputs")]
-    outputs: OutputArgs,
     /// Memory for the sums of open lines, MiB; what does not fit is kept in a file
     #[arg(long, default_value_t = 4096, value_name = "MIB", value_parser = clap::value_parser!(u64).range(1..=1_048_576))]
     memory: u64,
@@ -73,6 +68,10 @@ struct TileArgs {
     resume: bool,
     #[command(flatten)]
     batch: BatchArgs,
+    #[command(flatten, next_help_heading = "Windows")]
+    windows: WindowArgs,
+    #[command(flatten, next_help_heading = "Outputs")]
+    outputs: OutputArgs,
 }
 
 #[derive(clap::Args, Debug)]

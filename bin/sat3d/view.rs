@@ -19,8 +19,8 @@ Examples:
   sat3d view predictions --open
   sat3d view house.glb --port 8080
 
-The address is printed; other machines cannot reach it. From afar: ssh -L 8080:127.0.0.1:8080 HOST, with
---port 8080 there, and http://127.0.0.1:8080/ here.")]
+The address is printed; other machines cannot reach it. From afar: ssh -L 8080:127.0.0.1:8080 HOST, there
+`sat3d view DIR --port 8080`, and here http://127.0.0.1:8080/")]
 pub struct Args {
     /// A 3D Tiles folder (with tileset.json), a .glb file, or a folder that holds such.
     #[arg(value_name = "DIR")]
