@@ -217,7 +217,7 @@ mod tests {
 
     #[test]
     fn a_known_step_at_borders_is_measured() {
-        let windows = Windows { x: vec![0..40, 40..100], y: Vec::from([0..50]) };
+        let windows = Windows { x: vec![0..40, 40..100], y: std::iter::once(0..50).collect() };
         let m =
             measure([100, 50], &windows, |[x, _]| 0.01 * x as f32 + if x < 40 { 0.0 } else { 2.0 });
         assert_eq!(m.across_border.count, 50);
