@@ -5,8 +5,8 @@
 //! east, north and up at the city's centre. The Earth's curvature is in it: 10 km from the centre the ground lies
 //! 7.8 m below the plane that touches the ellipsoid there.
 //!
-//! A mesh has hundreds of millions of vertices, and the way through a projection costs 0.3 to 1 microseconds
-//! each. So it is gone once for every node of a lattice, and a vertex takes the quadratic polynomial through
+//! A mesh has hundreds of millions of vertices, and each way goes through a projection and several
+//! transcendental functions. So it is gone once for every node of a lattice, and a vertex takes the quadratic polynomial through
 //! the nine nodes of its block: 64 pixels wide, or wider where the city has more than some 4000 x 4000 nodes'
 //! worth of them. The error is measured against the exact way when a frame is made ([`LocalFrame::error_m`]):
 //! below 1e-8 m for pixels of decimetres, since the third derivatives are of the order of 1 / (Earth's radius)^2.
