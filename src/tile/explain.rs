@@ -71,7 +71,15 @@ fn picture_steps(inputs: &Inputs<'_>) -> Vec<Step> {
             "ground-size",
             true,
             inputs.ground,
-            ["none", "the network knows no scale but that of its training", ""],
+            [
+                "none",
+                "the network knows no scale but that of its training",
+                if inputs.city.assumed {
+                    "neither a georeference nor --gsd says how large a pixel is: assumed"
+                } else {
+                    "metres per pixel from the georeference, the name, or --gsd"
+                },
+            ],
         ),
         step(
             "resample",
