@@ -26,7 +26,9 @@ pub use join::{Joined, join};
 pub use journal::{FolderLock, Header, Journal, JournalError, Journals, STATE_FOLDER};
 pub use pipeline::{Batch, remove_leftovers};
 pub use progress::Progress;
-pub use record::{OutputFile, Product, Record, Verify, Words, count_reasons, count_status};
+pub use record::{
+    OutputFile, Product, Record, Verify, Words, count_reasons, count_status, fingerprint,
+};
 pub use shard::Shard;
 
 use serde::{Deserialize, Serialize};

@@ -5,7 +5,10 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::fmt::Debug;
+use std::fs::File;
+use std::io::{self, Read};
 use std::path::Path;
+use std::time::UNIX_EPOCH;
 
 /// One file written for an item.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -29,16 +32,42 @@ impl OutputFile {
         }
     }
 
+    /// Of a file that stands in `folder`, which may be larger than memory.
+    ///
+    /// # Errors
+    /// It cannot be read.
+    pub fn measure(folder: &Path, file: &str) -> io::Result<Self> {
+        let mut from = File::open(folder.join(file))?;
+        let (mut hash, mut bytes, mut buffer) = (Sha256::new(), 0, vec![0; 1 << 20]);
+        loop {
+            let count = from.read(&mut buffer)?;
+            if count == 0 {
+                break;
+            }
+            hash.update(&buffer[..count]);
+            bytes += count as u64;
+        }
+        Ok(Self { file: file.to_owned(), bytes, sha256: crate::plan::hex(&hash.finalize()) })
+    }
+
     /// Whether the file in `folder` is still what was written, as far as `verify` looks.
     #[must_use]
     pub fn holds(&self, folder: &Path, verify: Verify) -> bool {
-        let path = folder.join(&self.file);
         match verify {
-            Verify::Quick => std::fs::metadata(&path).is_ok_and(|m| m.len() == self.bytes),
-            Verify::Hashes => std::fs::read(&path)
-                .is_ok_and(|bytes| crate::plan::hex(&Sha256::digest(bytes)) == self.sha256),
+            Verify::Quick => std::fs::metadata(folder.join(&self.file))
+                .is_ok_and(|metadata| metadata.len() == self.bytes),
+            Verify::Hashes => Self::measure(folder, &self.file).is_ok_and(|found| found == *self),
         }
     }
+}
+
+/// Name, size and time of an input; empty where there is no such file.
+#[must_use]
+pub fn fingerprint(path: &Path) -> String {
+    let Ok(metadata) = std::fs::metadata(path) else { return String::new() };
+    let time = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    format!("{name}:{}:{}", metadata.len(), time.map_or(0, |time| time.as_nanos()))
 }
 
 /// How much of an earlier run is checked before its items count as done.

@@ -6,7 +6,7 @@ use super::options::InferOptions;
 use super::outputs::{Heights, NOTE_FOOTPRINT, NOTE_LIGHT, NOTE_SAMPLES, NOTE_WEIGHTS, NamedBytes};
 use super::record::{GroundFrom, Record};
 use super::renders::Subject;
-use crate::batch::{Interrupt, OutputFile, Product, Record as _};
+use crate::batch::{Interrupt, OutputFile, Product, Record as _, fingerprint};
 use crate::footprint::{Footprint, Place, TRAINING_WIDTH_M};
 use crate::illumination::{self, Illumination};
 use crate::model::render::{DepthKind, Dsm, LEAST_OPACITY, exact_scale};
@@ -17,7 +17,6 @@ use crate::weights::Identity;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::sync::{Mutex, OnceLock, PoisonError};
-use std::time::UNIX_EPOCH;
 
 /// What a worker needs to know of the run.
 pub struct Workshop<'a> {
@@ -312,14 +311,6 @@ pub fn other_ground(footprint: &Footprint) -> Option<String> {
             down / TRAINING_WIDTH_M,
         )
     })
-}
-
-/// Size and time of an input; empty where there is no such file.
-pub fn fingerprint(path: &Path) -> String {
-    let Ok(metadata) = std::fs::metadata(path) else { return String::new() };
-    let time = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    format!("{name}:{}:{}", metadata.len(), time.map_or(0, |time| time.as_nanos()))
 }
 
 #[cfg(test)]

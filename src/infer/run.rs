@@ -2,14 +2,14 @@
 
 use super::InferError;
 use super::explain::{self, Inputs};
-use super::item::{Workshop, fingerprint, other_ground};
+use super::item::{Workshop, other_ground};
 use super::list::{self, Entry, Kind};
 use super::manifest::{self, RunFacts};
 use super::options::InferOptions;
 use super::record::{GroundFrom, Record};
 use crate::batch::{
     Batch, ExitCode, FolderLock, Header, Interrupt, Journal, Journals, Progress, Status,
-    count_reasons, count_status, join, remove_leftovers,
+    count_reasons, count_status, fingerprint, join, remove_leftovers,
 };
 use crate::footprint::TRAINING_WIDTH_M;
 use crate::illumination::Illumination;

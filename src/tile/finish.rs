@@ -11,12 +11,10 @@ use super::surface::output::{CityMeshOptions, write_mesh};
 use super::surface::simplify::Target;
 use super::tiles3d::{Tiles3dOptions, Tiles3dSummary, finest_tiles, write_tiles3d};
 use super::volume;
-use crate::batch::{Header, Interrupt, Progress, write_atomic};
+use crate::batch::{Header, Interrupt, OutputFile, Progress, write_atomic};
 use crate::crs::CrsSpec;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use sha2::{Digest, Sha256};
-use std::io::Read;
 use std::path::Path;
 
 /// Name of the file that describes a finished city.
@@ -48,18 +46,7 @@ impl CityOutput {
             measure(&path, &mut files, &mut bytes)?;
             return Ok(Self { name: format!("{name}/"), files, bytes, sha256: None });
         }
-        let mut file = std::fs::File::open(&path)?;
-        let (mut hash, mut bytes, mut buffer) = (Sha256::new(), 0, vec![0; 1 << 20]);
-        loop {
-            let count = file.read(&mut buffer)?;
-            if count == 0 {
-                break;
-            }
-            hash.update(&buffer[..count]);
-            bytes += count as u64;
-        }
-        let sha256 = Some(crate::plan::hex(&hash.finalize()));
-        Ok(Self { name: name.to_owned(), files: 1, bytes, sha256 })
+        OutputFile::measure(out, name).map(Self::from)
     }
 
     /// Whether it is still there as it was written; hashes are compared where `hashes` is set.
@@ -71,6 +58,12 @@ impl CityOutput {
             return metadata.is_ok_and(|metadata| metadata.len() == self.bytes);
         }
         Self::of(out, name).is_ok_and(|found| found == *self)
+    }
+}
+
+impl From<OutputFile> for CityOutput {
+    fn from(OutputFile { file, bytes, sha256 }: OutputFile) -> Self {
+        Self { name: file, files: 1, bytes, sha256: Some(sha256) }
     }
 }
 
@@ -170,7 +163,7 @@ pub fn finish(
             tracing::info!("writing {name}");
         }
     };
-    let mut names = Vec::new();
+    let (mut names, mut outputs) = (Vec::new(), Vec::<CityOutput>::new());
     let windows = job.axis_windows()?;
     if let Some(request) = &job.outputs.dsm {
         note(&request.file);
@@ -190,8 +183,8 @@ pub fn finish(
         for warning in &written.warnings {
             tracing::warn!("{warning}");
         }
-        names.push(written.dsm.file);
-        names.extend(written.preview.map(|preview| preview.file));
+        outputs.push(written.dsm.into());
+        outputs.extend(written.preview.map(CityOutput::from));
     }
     if let Some(request) = &job.outputs.mesh {
         note(&request.file);
@@ -231,10 +224,9 @@ pub fn finish(
         volume::finish(city, out, &out.join(name), description)?;
         names.push(name.clone());
     }
-    let outputs: Result<Vec<CityOutput>, _> = (names.iter())
-        .map(|name| CityOutput::of(out, name).map_err(TileError::io("read", out.join(name))))
-        .collect();
-    let outputs = outputs?;
+    for name in &names {
+        outputs.push(CityOutput::of(out, name).map_err(TileError::io("read", out.join(name)))?);
+    }
     let mut description = header.description.clone();
     description["facts"] = json!(facts);
     description["outputs"] = json!(outputs);

@@ -20,7 +20,8 @@ use super::tiles3d::Tiles3dError;
 use super::volume::{self, VolumeSink};
 use super::writer::{Setting, SlabWriter};
 use crate::batch::{
-    ExitCode, FolderLock, Header, Interrupt, Journal, Journals, Progress, Status, Verify, join,
+    ExitCode, FolderLock, Header, Interrupt, Journal, Journals, Progress, Status, Verify,
+    fingerprint, join,
 };
 use crate::model::{Checkpoint, Model};
 use crate::picture::{self, Picture, ResampledPicture};
@@ -242,21 +243,7 @@ fn stem_of(path: &Path) -> String {
     path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Name, size and time of the picture.
-fn fingerprint(path: &Path) -> String {
-    let Ok(metadata) = std::fs::metadata(path) else { return String::new() };
-    let time = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    format!("{name}:{}:{}", metadata.len(), time.map_or(0, |time| time.as_nanos()))
-}
-
 impl Prepared {
-    /// Bytes of the sums of open lines.
-    #[must_use]
-    pub const fn open_bytes(&self) -> u64 {
-        self.open_bytes
-    }
-
     fn description(&self) -> serde_json::Value {
         json!({
             "software": format!("sat3d {}", env!("CARGO_PKG_VERSION")),

@@ -20,9 +20,7 @@ use crate::raster::geotiff::{CogSpec, CogWriter, GeoTiffError};
 use crate::units::LinearUnit;
 use preview::Preview;
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
-use std::fs::File;
-use std::io::{self, Read};
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// Rows that are read and written at once.
@@ -187,7 +185,8 @@ pub fn write_dsm(
     writer.finish()?;
     let folder = target.parent().filter(|folder| !folder.as_os_str().is_empty());
     sync_folder(folder.unwrap_or(Path::new("."))).map_err(|source| wrong(&target, source))?;
-    let dsm = written(&options.name, &target).map_err(|source| wrong(&target, source))?;
+    let dsm =
+        OutputFile::measure(slabs.out, &options.name).map_err(|source| wrong(&target, source))?;
     Ok(DsmFile {
         dsm,
         preview,
@@ -233,24 +232,6 @@ fn cog_spec(city: &City, grid: &DsmGrid, more: &[(String, String)]) -> CogSpec {
         unit: Some(LinearUnit::Metre),
         metadata: own.into_iter().chain(more.iter().cloned()).collect(),
     }
-}
-
-/// Size and hash of a file that may be larger than memory.
-fn written(name: &str, path: &Path) -> io::Result<OutputFile> {
-    let mut file = File::open(path)?;
-    let (mut hash, mut bytes) = (Sha256::new(), 0);
-    let mut buffer = vec![0; 1 << 20];
-    loop {
-        match file.read(&mut buffer)? {
-            0 => break,
-            n => {
-                hash.update(&buffer[..n]);
-                bytes += n as u64;
-            }
-        }
-    }
-    let sha256 = crate::plan::hex(&hash.finalize());
-    Ok(OutputFile { file: name.to_owned(), bytes, sha256 })
 }
 
 /// Lowest, highest and mean of the heights.
