@@ -16,19 +16,22 @@ pub mod lidar;
 pub mod mesh_file;
 pub mod picture;
 pub mod plan;
-pub mod random;
 pub mod raster;
 pub mod recipe;
 pub mod scene;
 pub mod stac;
 pub mod table;
 pub mod tile;
+#[cfg(feature = "train")]
+pub mod train;
 pub mod units;
 pub mod viewer;
 pub mod views;
 pub mod vigor;
 pub mod volume;
 pub mod weights;
+
+pub use sat3d_model::random;
 
 /// The network, its radiance field and what is rendered from it.
 pub use sat3d_model as model;

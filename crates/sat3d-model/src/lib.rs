@@ -13,9 +13,12 @@ pub mod network;
 #[cfg(feature = "parity")]
 pub mod parity;
 pub mod preprocess;
+pub mod random;
 pub mod render;
 pub mod scene;
 mod tensor;
+#[cfg(feature = "train")]
+pub mod train;
 pub mod weights;
 
 pub use config::Config;

@@ -1,0 +1,14 @@
+//! Training: losses, differentiable rendering, optimisation (paper section 4; MODEL_SPEC section 11).
+//!
+//! * [`Example`]: one satellite image with what is known about it, in plain memory.
+//! * [`losses`]: every term of the objectives, as functions of tensors.
+//! * [`Learner`]: a model that learns from batches of examples. It knows nothing of files.
+
+mod error;
+mod example;
+mod learner;
+pub mod losses;
+
+pub use error::TrainError;
+pub use example::{Class, Example, Street, Truth};
+pub use learner::{Exported, Learner, NamedTensor, Outcome, Term};
