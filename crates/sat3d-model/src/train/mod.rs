@@ -4,10 +4,12 @@
 //! * [`losses`]: every term of the objectives, as functions of tensors.
 //! * [`Learner`]: a model that learns from batches of examples. It knows nothing of files.
 
+pub mod convolution;
 mod error;
 mod example;
 mod learner;
 pub mod losses;
+pub mod optimiser;
 
 pub use error::TrainError;
 pub use example::{Class, Example, Street, Truth};
