@@ -7,10 +7,13 @@
 pub mod convolution;
 mod error;
 mod example;
+mod heights;
 mod learner;
 pub mod losses;
+pub mod mini;
 pub mod optimiser;
 
 pub use error::TrainError;
 pub use example::{Class, Example, Street, Truth};
+pub use heights::{HeightLearner, HeightSettings};
 pub use learner::{Exported, Learner, NamedTensor, Outcome, Term};

@@ -35,7 +35,7 @@ fn values_and_gradients_are_those_of_burn() {
 
 #[test]
 fn a_transposed_view_is_read_as_what_it_shows() {
-    let device = Device::flex();
+    let device = Device::flex().autodiff();
     let input = random([1, 2, 6, 4], &device);
     let weight = random([3, 2, 3, 3], &device);
     let ours = convolve(input.clone().swap_dims(2, 3), weight.clone());
