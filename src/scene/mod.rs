@@ -10,6 +10,7 @@
 //! * [`effects`]: the plan; each effect has a bound, a cost and a cause.
 //! * [`terrain`], [`streets`], [`layout`], [`solid`], [`world`], `epoch`: the scene itself.
 //! * `render`, `ground`, `materials`, `shadows`: pictures.
+//! * [`random`]: scenes drawn at random, to learn from.
 //! * [`lidar`], [`truth`], [`vigor_files`], [`whole`], [`simulate()`]: what is written.
 
 pub mod effects;
@@ -25,6 +26,7 @@ mod noise;
 pub mod object;
 mod picture;
 pub mod pixels;
+pub mod random;
 mod render;
 mod shadows;
 pub mod shape;
