@@ -74,8 +74,8 @@ impl Camera {
             return;
         }
         let height = picture.len() / 3 / width;
-        let mut planes: [Vec<f32>; 3] = [0, 1, 2]
-            .map(|i| picture.iter().skip(i).step_by(3).map(|v| f32::from(*v)).collect());
+        let mut planes: [Vec<f32>; 3] =
+            [0, 1, 2].map(|i| picture.iter().skip(i).step_by(3).map(|v| f32::from(*v)).collect());
         if self.half_colour {
             halve_colour(&mut planes, width, height);
         }
@@ -106,7 +106,8 @@ fn halve_colour(planes: &mut [Vec<f32>; 3], width: usize, height: usize) {
             let cells = [(0, 0), (0, 1), (1, 0), (1, 1)]
                 .map(|(j, i)| (row + j, column + i))
                 .map(|(j, i)| (j < height && i < width).then_some(j * width + i));
-            let grey = |p: &[Vec<f32>; 3], i: usize| 0.3 * p[0][i] + 0.59 * p[1][i] + 0.11 * p[2][i];
+            let grey =
+                |p: &[Vec<f32>; 3], i: usize| 0.3 * p[0][i] + 0.59 * p[1][i] + 0.11 * p[2][i];
             for i in cells.into_iter().flatten() {
                 let y = grey(planes, i);
                 red += planes[0][i] - y;
@@ -171,7 +172,10 @@ mod tests {
         let mut developed = picture();
         camera.develop(&mut developed, 24);
         assert_eq!(developed, picture());
-        assert_eq!(camera.expose([0.2, 0.4, 0.9]), super::super::ground::mix([0.2, 0.4, 0.9], HAZE, 0.025));
+        assert_eq!(
+            camera.expose([0.2, 0.4, 0.9]),
+            super::super::ground::mix([0.2, 0.4, 0.9], HAZE, 0.025)
+        );
         assert_eq!(camera.curve(0.3), 0.3);
     }
 
@@ -192,8 +196,7 @@ mod tests {
 
     #[test]
     fn half_colour_keeps_brightness_and_greys() {
-        let camera =
-            Camera { half_colour: true, ..Camera::new(None) };
+        let camera = Camera { half_colour: true, ..Camera::new(None) };
         let before = picture();
         let mut planes: [Vec<f32>; 3] =
             [0, 1, 2].map(|i| before.iter().skip(i).step_by(3).map(|v| f32::from(*v)).collect());

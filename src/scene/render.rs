@@ -159,7 +159,7 @@ impl Scene {
             Some(index) => {
                 let solid = &self.world(Epoch::Image).solids[index as usize];
                 let n = solid.shape.normal(seen.face, seen.at);
-                let paint = materials::paint(solid, seen.face, seen.at);
+                let paint = materials::paint(solid, seen.face, seen.at, self.spec.detail.is_some());
                 (paint, n, solid.class, u64::from(index) + 1)
             }
             None => {

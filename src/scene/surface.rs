@@ -80,7 +80,8 @@ impl Scene {
             Arc::new(World::new(objects, indexed))
         };
         let image = make(Epoch::Image);
-        let lidar = if change.happens() { make(Epoch::Lidar) } else { Arc::clone(&image) };
+        let apart = change.happens() || layout.objects.iter().any(|o| o.only.is_some());
+        let lidar = if apart { make(Epoch::Lidar) } else { Arc::clone(&image) };
         let paint = GroundPaint::new(&layout, indexed, spec.images.season, spec.seed);
         let (sun, lean) = (sun_ray(&spec, &frame, &effects), view_lean(&spec, &frame, &effects));
         let camera = Camera::new(spec.camera.as_ref());

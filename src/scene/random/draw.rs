@@ -3,8 +3,8 @@
 use super::{Kind, RandomScenes, purpose};
 use crate::random::{Draw, key};
 use crate::scene::spec::{
-    BlockSpec, CameraSpec, CarSpec, DetailSpec, ExtentSpec, ImageSpec, LidarSpec, PlaceSpec, SceneSpec, Season, Side,
-    StreetSpec, SunSpec, TerrainSpec, TreeSpec, ViewSpec, WaterSpec,
+    BlockSpec, CameraSpec, CarSpec, DetailSpec, ExtentSpec, ImageSpec, LidarSpec, PlaceSpec,
+    SceneSpec, Season, Side, StreetSpec, SunSpec, TerrainSpec, TreeSpec, ViewSpec, WaterSpec,
 };
 
 /// Room around the square, metres in all: turning the square by the convergence of the grid (1.3
