@@ -1,0 +1,145 @@
+//! Scenes drawn at random, for training and for tests of what was trained: each is a pure function
+//! of a seed and an index, and its heights are exact.
+//!
+//! * [`RandomScenes`]: kinds of place, and the [`SceneSpec`] of each scene ([`draw`]).
+//! * [`Sample`]: a square picture with its heights and classes.
+
+mod draw;
+mod sample;
+
+pub use sample::Sample;
+
+use super::error::SceneError;
+use super::spec::SceneSpec;
+use super::surface::Scene;
+use crate::random::key;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// Purposes of random numbers here: the third part of every key, after the seed and the index.
+mod purpose {
+    pub const KIND: u64 = 1;
+    pub const SCENE: u64 = 2;
+    pub const PLACE: u64 = 3;
+}
+
+/// What kind of place a scene shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Kind {
+    /// Family houses with gardens.
+    Suburb,
+    /// Blocks of flats, offices, towers.
+    Downtown,
+    /// Sheds, tanks, containers.
+    Industry,
+    /// Large flat-roofed shops and their car parks.
+    CarPark,
+    /// Closed forest.
+    Forest,
+    /// A shore with docks.
+    Waterfront,
+    /// Lawns, paths, scattered trees.
+    Park,
+    /// Several uses side by side.
+    Mixed,
+}
+
+impl Kind {
+    /// All kinds, in the order of their declaration.
+    pub const ALL: [Self; 8] = [
+        Self::Suburb,
+        Self::Downtown,
+        Self::Industry,
+        Self::CarPark,
+        Self::Forest,
+        Self::Waterfront,
+        Self::Park,
+        Self::Mixed,
+    ];
+
+    /// Share of the scenes that are of this kind, per cent.
+    const fn share(self) -> u64 {
+        match self {
+            Self::Suburb => 30,
+            Self::Downtown => 14,
+            Self::Industry => 11,
+            Self::CarPark => 11,
+            Self::Forest => 8,
+            Self::Waterfront => 7,
+            Self::Park => 5,
+            Self::Mixed => 14,
+        }
+    }
+
+    /// The name in files.
+    #[must_use]
+    pub const fn id(self) -> &'static str {
+        match self {
+            Self::Suburb => "suburb",
+            Self::Downtown => "downtown",
+            Self::Industry => "industry",
+            Self::CarPark => "car-park",
+            Self::Forest => "forest",
+            Self::Waterfront => "waterfront",
+            Self::Park => "park",
+            Self::Mixed => "mixed",
+        }
+    }
+}
+
+impl fmt::Display for Kind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.id())
+    }
+}
+
+/// Scenes drawn at random: every one is a pure function of `(seed, index)`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RandomScenes {
+    /// Another seed gives other scenes.
+    pub seed: u64,
+}
+
+impl RandomScenes {
+    /// The kind of a scene.
+    #[must_use]
+    pub fn kind(&self, index: u64) -> Kind {
+        let mut lot = key(&[self.seed, index, purpose::KIND]) % 100;
+        for kind in Kind::ALL {
+            if lot < kind.share() {
+                return kind;
+            }
+            lot -= kind.share();
+        }
+        Kind::Mixed
+    }
+
+    /// What a scene is like, with room for a square of 64 m in any position about its centre; see
+    /// [`Self::spec_for`].
+    #[must_use]
+    pub fn spec(&self, index: u64) -> SceneSpec {
+        self.spec_for(index, 64.0)
+    }
+
+    /// What a scene is like, just large enough for a square of `metres` about its centre. What
+    /// stands in the square does not hang on its size but for the middle of the dense uses.
+    #[must_use]
+    pub fn spec_for(&self, index: u64, metres: f64) -> SceneSpec {
+        draw::spec(self, index, metres)
+    }
+
+    /// One training sample: a square of `side` pixels and `metres` ground metres about the scene's
+    /// centre, true north up.
+    ///
+    /// # Errors
+    /// [`SceneError`] if the scene cannot be laid out.
+    pub fn sample(&self, index: u64, side: usize, metres: f64) -> Result<Sample, SceneError> {
+        let spec = self.spec_for(index, metres);
+        let scene = Scene::new(spec, &super::Options::default())?;
+        Ok(Sample::new(&scene, self.kind(index), side, metres))
+    }
+}
+
+#[cfg(test)]
+mod tests;
