@@ -130,12 +130,16 @@ impl World {
                     from: [from[0], from[1], from[2] - sun.curvature * middle * middle],
                     step: [dx, dy, dz + 2.0 * sun.curvature * middle],
                 };
-                if self.tops[cell] > from[2] + enter * dz
+                // Sorted by height: where the ray is above one, it is above those that follow.
+                let low = from[2] + enter * dz;
+                if self.tops[cell] > low
                     && self
                         .grid
                         .in_cell(cell)
                         .iter()
-                        .any(|s| self.solids[*s as usize].shape.blocks(&ray, CLEARANCE_M))
+                        .map(|s| &self.solids[*s as usize])
+                        .take_while(|s| s.highest > low)
+                        .any(|s| s.shape.blocks(&ray, CLEARANCE_M))
                 {
                     return ControlFlow::Break(());
                 }
