@@ -18,6 +18,8 @@ pub struct Solid {
     /// Its geometry.
     pub shape: Shape,
     highest: f64,
+    /// Whether it casts a shadow that shows.
+    casts: bool,
 }
 
 /// Light from a point source at infinity: a ray's change per metre of path, in the local frame.
@@ -44,6 +46,14 @@ pub struct Seen {
 /// Path over which a ray may touch the surface that it starts from, metres.
 const CLEARANCE_M: f64 = 1e-3;
 
+/// Whether a solid is so thin that the sun, half a degree wide, is seen on both sides of it from the ground.
+fn is_wire(shape: &Shape) -> bool {
+    match shape {
+        Shape::Prism(p) => p.rect.half_u.min(p.rect.half_v) < 0.065 && p.highest() - p.bottom < 0.9,
+        Shape::Cylinder(_) | Shape::Crown(_) => false,
+    }
+}
+
 /// All solids of one epoch.
 #[derive(Clone, Debug)]
 pub struct World {
@@ -67,6 +77,7 @@ impl World {
                     class: part.class,
                     finish: part.finish,
                     highest: part.shape.highest(),
+                    casts: !is_wire(&part.shape),
                     shape: part.shape,
                 })
             })
@@ -139,7 +150,7 @@ impl World {
                         .iter()
                         .map(|s| &self.solids[*s as usize])
                         .take_while(|s| s.highest > low)
-                        .any(|s| s.shape.blocks(&ray, CLEARANCE_M))
+                        .any(|s| s.casts && s.shape.blocks(&ray, CLEARANCE_M))
                 {
                     return ControlFlow::Break(());
                 }
