@@ -367,6 +367,28 @@ impl Crown {
         best
     }
 
+    /// The first entry of a ray into a spheroid beyond a parameter.
+    fn enter(&self, ray: &Ray, after: f64) -> Option<(f64, Face)> {
+        let passing = Passing::new(ray);
+        if !passing.reaches(self.x, self.y, self.radius) {
+            return None;
+        }
+        let mut best: Option<(f64, Face)> = None;
+        for (i, puff) in self.puffs.iter().enumerate() {
+            if passing.reaches(puff.center[0], puff.center[1], puff.radius)
+                && let Some((enter, _)) = puff.clip(ray)
+                && enter > after
+                && best.is_none_or(|b| enter < b.0)
+            {
+                let [x, y, _] = ray.at(enter);
+                if !self.is_hole(x, y) {
+                    best = Some((enter, Face::Top(i as u8)));
+                }
+            }
+        }
+        best
+    }
+
     /// Whether a ray meets the crown beyond a parameter. Cheaper than [`Self::clip`].
     fn blocks(&self, ray: &Ray, after: f64) -> bool {
         let passing = Passing::new(ray);
@@ -470,6 +492,19 @@ impl Shape {
             Self::Cylinder(c) => c.clip(ray),
             Self::Crown(c) => c.clip(ray),
         }
+    }
+
+    /// Where a ray first comes in from outside beyond a parameter, and through which face. A ray that starts
+    /// inside a solid (of a crown: a spheroid) does not meet that one.
+    #[must_use]
+    pub fn enter(&self, ray: &Ray, after: f64) -> Option<(f64, Face)> {
+        if let Self::Crown(crown) = self {
+            return crown.enter(ray, after);
+        }
+        // A ray comes in where one that runs the other way goes out.
+        let back = Ray { from: ray.from, step: ray.step.map(|d| -d) };
+        let span = self.clip(&back)?;
+        (-span.exit > after).then_some((-span.exit, span.exit_face))
     }
 
     /// Whether a ray meets the solid beyond a parameter.
