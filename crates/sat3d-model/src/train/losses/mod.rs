@@ -2,7 +2,7 @@
 //!
 //! * [`gravity`]: density must not grow upwards.
 //! * [`depth`]: relative depth from above, up to a scale and a shift.
-//! * [`photometric`]: colours.
+//! * [`photometric`]: colours; [`perceptual`] and [`lpips`]: how different pictures look.
 //! * [`adversarial`]: what a discriminator says.
 //! * [`sky`]: where the sky is, and its colours.
 //!
@@ -15,6 +15,8 @@
 pub mod adversarial;
 pub mod depth;
 pub mod gravity;
+pub mod lpips;
+pub mod perceptual;
 pub mod photometric;
 pub mod sky;
 
