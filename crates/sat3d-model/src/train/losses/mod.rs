@@ -26,6 +26,8 @@ pub mod sky;
 pub mod spectral;
 pub mod tangent;
 
+#[cfg(test)]
+mod hard;
 mod safe;
 #[cfg(test)]
 mod testing;

@@ -23,7 +23,8 @@ fn file(folder: &Path, name: &str, keep: impl Fn(&str) -> bool) -> PathBuf {
     path
 }
 
-fn narrow_weights() -> Lpips {
+/// The fixture's weights, as read from two files.
+pub(in crate::train::losses) fn narrow_weights() -> Lpips {
     let folder = tempfile::tempdir().expect("a folder");
     let vgg = file(folder.path(), "vgg.safetensors", |key| key.starts_with("features"));
     let lin = file(folder.path(), "lin.safetensors", |key| key.starts_with("lin"));
