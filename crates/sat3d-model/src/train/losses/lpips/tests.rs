@@ -90,3 +90,18 @@ fn a_layer_that_does_not_fit_the_one_before_is_refused() {
     let error = Lpips::read(&[&path, &other], &device()).expect_err("5 is not 6").to_string();
     assert!(error.contains("features.7.weight") && error.contains("other"), "{error}");
 }
+
+#[test]
+fn places_without_any_feature_have_finite_gradients() {
+    let mut lpips = narrow_weights();
+    for group in &mut lpips.groups {
+        for (_, bias) in &mut group.convolutions {
+            *bias = bias.clone() - 1e3;
+        }
+    }
+    let first = stored::<4>(TORCH, "lpips.first").require_grad();
+    let distance = lpips.distance(first.clone(), stored(TORCH, "lpips.second")).mean();
+    let slopes = values(first.grad(&distance.backward()).expect("a gradient"));
+    assert_eq!(scalar(distance), 0.0);
+    assert!(slopes.iter().all(|v| *v == 0.0));
+}
