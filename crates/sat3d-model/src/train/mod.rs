@@ -5,15 +5,20 @@
 //! * [`Learner`]: a model that learns from batches of examples. It knows nothing of files.
 
 pub mod convolution;
+mod discriminator;
 mod error;
 mod example;
+mod field;
 mod heights;
 mod learner;
 pub mod losses;
 pub mod mini;
 pub mod optimiser;
+mod rays;
+mod render;
 
 pub use error::TrainError;
 pub use example::{Class, Example, Street, Truth};
 pub use heights::{HeightLearner, HeightSettings};
 pub use learner::{Exported, Learner, NamedTensor, Outcome, Term};
+pub use rays::ViewSettings;
