@@ -33,7 +33,17 @@ impl Encoder {
 
     /// Image `1 x 3 x side x side` to the patches' map `1 x hidden x 16 x 16`.
     pub(crate) fn forward(&self, image: Tensor<4>, probe: &mut Probe<'_>) -> Tensor<4> {
-        let (cos, sin) = self.rotary.on(&image.device());
+        self.forward_turned(image, None, probe)
+    }
+
+    /// The same with another table of rotary angles, where one is given.
+    pub(crate) fn forward_turned(
+        &self,
+        image: Tensor<4>,
+        rotary: Option<&RotaryTable>,
+        probe: &mut Probe<'_>,
+    ) -> Tensor<4> {
+        let (cos, sin) = rotary.unwrap_or(&self.rotary).on(&image.device());
         let mut tokens = self.embeddings.forward(image);
         probe.see("embeddings", &tokens);
         for (index, block) in self.layer.iter().enumerate() {
@@ -248,10 +258,16 @@ impl RotaryTable {
     /// Patch (row, column) lies at `2 (index + 1/2) / 16 - 1`; the first quarter of a head turns
     /// with the row, the second with the column, and the other half repeats both.
     pub(crate) fn new(config: &BackboneConfig) -> Self {
+        Self::scaled(config, 1.0)
+    }
+
+    /// The same with all coordinates multiplied by `factor`, as training does at random.
+    pub(crate) fn scaled(config: &BackboneConfig, factor: f64) -> Self {
         let head = config.head();
         let quarter = head / 4;
         let tokens = 1 + config.registers + PATCHES * PATCHES;
-        let place = |index: usize| 2.0 * (index as f64 + 0.5) / PATCHES as f64 - 1.0;
+        let place =
+            |index: usize| (2.0 * (index as f64 + 0.5) / PATCHES as f64 - 1.0) * factor;
         let frequency =
             |index: usize| libm::pow(config.rope_theta, -(index as f64) * 4.0 / head as f64);
         let mut angles = vec![0.0; (1 + config.registers) * head];

@@ -96,7 +96,10 @@ pub(crate) struct Taps<const COUNT: usize> {
 
 impl<const COUNT: usize> Taps<COUNT> {
     /// Taps of `points` points.
-    pub(crate) fn of(points: usize, at: impl Fn(usize) -> [(i32, f32); COUNT] + Sync + Send) -> Self {
+    pub(crate) fn of(
+        points: usize,
+        at: impl Fn(usize) -> [(i32, f32); COUNT] + Sync + Send,
+    ) -> Self {
         let mut index = std::array::from_fn(|_| vec![0; points]);
         let mut weight = std::array::from_fn(|_| vec![0.0; points]);
         let all: Vec<[(i32, f32); COUNT]> =
@@ -247,7 +250,11 @@ impl FieldTensors {
         let features = weight.dims()[1];
         let plane = |from: usize, count: usize, weight: Tensor<2>| {
             let texels = map.clone().narrow(0, from, count).reshape([count, rows * columns]);
-            Plane { table: Table { values: texels.transpose().matmul(weight.transpose()) }, rows, columns }
+            Plane {
+                table: Table { values: texels.transpose().matmul(weight.transpose()) },
+                rows,
+                columns,
+            }
         };
         let tables = if representation == Representation::Triplane {
             let weight = weight / 3.0;
@@ -345,7 +352,6 @@ pub(crate) fn activate<const D: usize>(activation: DensityActivation, raw: Tenso
         DensityActivation::Relu => activation::relu(raw + 3.0),
     }
 }
-
 
 #[cfg(test)]
 pub(crate) mod tests;

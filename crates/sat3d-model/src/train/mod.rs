@@ -9,13 +9,16 @@ mod discriminator;
 mod error;
 mod example;
 mod field;
+mod generator;
 mod heights;
 mod learner;
 pub mod losses;
 pub mod mini;
 pub mod optimiser;
+mod parameters;
 mod rays;
 mod render;
+mod targets;
 
 pub use error::TrainError;
 pub use example::{Class, Example, Street, Truth};

@@ -233,16 +233,22 @@ impl Look {
 
     /// Intrinsics of an image of `side` pixels: its axis lies at the middle of its pixel positions.
     pub(crate) fn intrinsics(&self, side: usize) -> Intrinsics {
-        let [fx, fy] = self.field_of_view.map(|degrees| {
-            0.5 * side as f64 / libm::tan(degrees.to_radians() / 2.0)
-        });
+        let [fx, fy] = self
+            .field_of_view
+            .map(|degrees| 0.5 * side as f64 / libm::tan(degrees.to_radians() / 2.0));
         let centre = (side as f64 - 1.0) / 2.0;
         Intrinsics { fx, fy, cx: centre, cy: centre }
     }
 
     /// The camera of a ray grid `side / enlarged` rays wide, whose rays are those of an image of `side`
     /// pixels with its intrinsics divided by `enlarged`, as in the release.
-    pub(crate) fn camera(&self, side: usize, enlarged: usize, position: Vector, scale: f64) -> Camera {
+    pub(crate) fn camera(
+        &self,
+        side: usize,
+        enlarged: usize,
+        position: Vector,
+        scale: f64,
+    ) -> Camera {
         let part = 1.0 / enlarged as f64;
         let whole = self.intrinsics(side);
         let intrinsics = Intrinsics {

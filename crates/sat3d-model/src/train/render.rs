@@ -119,7 +119,11 @@ fn integrate(field: &FieldTensors, raw: Tensor<2>, radii: &[f32]) -> Tensor<2> {
 
 /// A value for each two neighbours within a ray.
 fn pairs(radii: &[f32], all: usize, of: impl Fn(f32, f32) -> f32) -> Vec<f32> {
-    radii.chunks_exact(all).flat_map(|ray| ray.windows(2)).map(|ends| of(ends[0], ends[1])).collect()
+    radii
+        .chunks_exact(all)
+        .flat_map(|ray| ray.windows(2))
+        .map(|ends| of(ends[0], ends[1]))
+        .collect()
 }
 
 fn plain(values: Vec<f32>, shape: [usize; 2], device: &burn::tensor::Device) -> Tensor<2> {
