@@ -57,6 +57,17 @@ impl Discriminator {
         Pass { layers, weight: self.shuffle.weight.val(), bias: self.shuffle.bias.val() }
     }
 
+    /// The same for pictures whose own gradients are wanted and not the weights'.
+    pub(crate) fn frozen(&self) -> Pass {
+        let mut own = self.clone();
+        let Pass { layers, weight, bias } = own.pass(false);
+        let layers = layers
+            .into_iter()
+            .map(|layer| Layer { weight: layer.weight.detach(), bias: layer.bias.detach() })
+            .collect();
+        Pass { layers, weight: weight.detach(), bias: bias.detach() }
+    }
+
     /// The vectors of the power iteration, which are no parameters.
     pub(crate) fn buffers(&self, prefix: &str) -> Vec<NamedTensor> {
         let mut list = Vec::new();

@@ -25,7 +25,7 @@ use burn::tensor::{Device, Gradients, Tensor, TensorData, activation};
 use std::sync::Arc;
 
 /// What makes maps of images.
-pub(crate) trait MapNetwork: Module {
+pub trait MapNetwork: Module {
     /// Where its parameters lie in a checkpoint.
     const PREFIX: &'static str;
 
@@ -43,7 +43,7 @@ pub(crate) trait MapNetwork: Module {
 
 /// The released network's encoder, frozen, and its decoder.
 #[derive(Module, Debug)]
-pub(crate) struct ReleasedMap {
+pub struct ReleasedMap {
     decoder: Decoder,
     #[module(skip)]
     encoder: Frozen,

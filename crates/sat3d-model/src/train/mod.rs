@@ -15,6 +15,7 @@ mod learner;
 pub mod losses;
 pub mod mini;
 pub mod optimiser;
+mod paper;
 mod parameters;
 mod rays;
 mod render;
@@ -22,6 +23,10 @@ mod targets;
 
 pub use error::TrainError;
 pub use example::{Class, Example, Street, Truth};
+pub use generator::{MapNetwork, ReleasedMap};
 pub use heights::{HeightLearner, HeightSettings};
 pub use learner::{Exported, Learner, NamedTensor, Outcome, Term};
+pub use paper::{
+    AdversarialWeights, Form, PaperLearner, PaperSettings, Perceptual, Photometric, TermWeights,
+};
 pub use rays::ViewSettings;

@@ -131,8 +131,6 @@ pub(crate) enum Purpose {
     Jitter,
     /// A perspective camera.
     Camera,
-    /// Points of the gravity term.
-    Gravity,
     /// The encoder's positions.
     Positions,
     /// The real satellite crops that discriminators see.
