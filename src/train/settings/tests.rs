@@ -1,0 +1,94 @@
+//! Settings as people write them, and as they should not.
+
+use super::*;
+use serde_json::json;
+
+fn parse(text: &str) -> Result<Settings, TrainingError> {
+    Settings::parse(Path::new("/runs/a/train.toml"), text)
+}
+
+fn refusal(text: &str) -> String {
+    parse(text).expect_err(text).to_string()
+}
+
+#[test]
+fn everything_has_a_default() {
+    let settings = parse("").expect("parses");
+    assert_eq!(settings.model.kind, ModelKind::Mini);
+    assert_eq!(settings.objective.kind, ObjectiveKind::Heights);
+    assert_eq!(settings.data.source, DataSource::Simulated);
+    assert_eq!(settings.run, RunSettings::default());
+    assert_eq!(settings.device().expect("a device"), Device::Cpu);
+}
+
+#[test]
+fn tables_may_be_written_in_both_ways_and_paths_belong_to_the_file() {
+    let text = "[data]\nsource = \"simulated\"\nsimulated = { scenes = 5, cache = \"../cache\" }\n\
+                [run]\nminutes = 3\n[objective.heights]\nlearning_rate = 2e-3\n";
+    let settings = parse(text).expect("parses");
+    assert_eq!(settings.data.simulated.scenes, 5);
+    assert_eq!(settings.data.simulated.cache, Some("/runs/a/../cache".into()));
+    assert_eq!(settings.run.minutes, Some(3.0));
+    assert_eq!(settings.objective.heights().learning_rate, 2e-3);
+    assert_eq!(settings.objective.heights().samples, HeightsSettings::default().samples);
+}
+
+#[test]
+fn what_is_wrong_is_named_with_its_place_and_what_is_served() {
+    let unknown = refusal("[run]\nsteps = 5\nbatsch = 3\n");
+    assert!(unknown.starts_with("/runs/a/train.toml:3: unknown field `batsch`"), "{unknown}");
+    assert!(unknown.contains("`batch`") && unknown.contains("(in `batsch = 3`)"), "{unknown}");
+    let kind = refusal("[model]\nkind = \"large\"\n");
+    assert!(kind.contains("train.toml:2") && kind.contains("`mini`"), "{kind}");
+    let wrong_type = refusal("[run]\nsteps = \"many\"\n");
+    assert!(wrong_type.contains("train.toml:2") && wrong_type.contains("steps"), "{wrong_type}");
+    assert!(refusal("[run\n").contains("train.toml:1"));
+    for (text, parts) in [
+        ("[run]\nbatch = 0", ["`run.batch` = 0", "at least 1"]),
+        ("[run]\ndevice = \"tpu\"", ["`run.device` = \"tpu\"", "one of cpu, cuda"]),
+        ("[run]\nminutes = nan", ["`run.minutes`", "positive"]),
+        ("[data.simulated]\nside = 512", ["`data.simulated.scene_side` = 384", "512"]),
+        ("[data.simulated]\nseed = 4\nheld_out_seed = 4", ["held_out_seed` = 4", "differ"]),
+        ("[data]\nsource = \"vigor\"", ["`data.vigor.folder`", "VIGOR"]),
+        ("[data.vigor]\nfolder = \"x\"", ["`data.source` = \"simulated\"", "[data.vigor]"]),
+        ("[objective.paper]\ngravity = 1", ["`objective.kind` = \"heights\"", "[objective.paper]"]),
+        ("[objective.heights]\nheight = -1", ["`objective.heights.height` = -1", "switches"]),
+        ("[model]\nstart = \"none\"", ["`model.start` = \"/runs/a/none\"", "does not exist"]),
+    ] {
+        let error = refusal(text);
+        assert!(parts.iter().all(|part| error.contains(part)), "{text}: {error}");
+    }
+    let here = env!("CARGO_MANIFEST_DIR");
+    let vigor = format!("[data]\nsource = \"vigor\"\n[data.vigor]\nfolder = \"{here}\"\n");
+    let error = refusal(&vigor);
+    assert!(
+        error.contains("`objective.kind`") && error.contains("VIGOR has no heights"),
+        "{error}"
+    );
+    let good = format!("[objective]\nkind = \"paper\"\n{vigor}");
+    assert_eq!(parse(&good).expect("parses").data.source, DataSource::Vigor);
+    let split = refusal(&format!("{good}split = \"training\"\n"));
+    assert!(split.contains("`data.vigor.split` = \"training\""), "{split}");
+}
+
+#[test]
+fn only_what_the_weights_depend_on_is_compared() {
+    let identity = |text: &str| {
+        let settings = parse(text).expect("parses");
+        settings.identity(json!({ "scenes": settings.data.simulated.scenes })).expect("is")
+    };
+    let first = identity("");
+    assert_eq!(difference(&first, &first), None);
+    let free = "[run]\nthreads = 1\nkeep = 9\nminutes = 5\nlog_every = 2\n[objective.heights]\n";
+    assert_eq!(difference(&first, &identity(free)), None);
+    let other = identity("[objective.heights]\nsamples = 12\n");
+    assert_eq!(
+        difference(&first, &other),
+        Some(("objective.heights.samples".into(), "24".into(), "12".into()))
+    );
+    let other = identity("[data.simulated]\nscenes = 3\n");
+    let (key, _, now) = difference(&first, &other).expect("differs");
+    assert_eq!((key.as_str(), now.as_str()), ("data.settings.scenes", "3"));
+    let other = identity("[objective]\nkind = \"paper\"\n");
+    assert_eq!(difference(&first, &other).expect("differs").0, "objective.kind");
+}
