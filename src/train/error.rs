@@ -29,6 +29,14 @@ pub enum TrainingError {
         /// What is wrong, with the key and what is served.
         message: String,
     },
+    /// `--set` of something that is no setting.
+    #[error("--set {change}: {why}")]
+    Change {
+        /// As written.
+        change: String,
+        /// What is wrong, and what is served.
+        why: String,
+    },
     /// A setting contradicts another one or makes no training.
     #[error("{}: `{key}` = {value}: {why}", path.display())]
     Setting {

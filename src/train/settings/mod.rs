@@ -121,22 +121,35 @@ impl Default for RunSettings {
 }
 
 impl Settings {
-    /// Reads and checks a settings file.
+    /// Reads and checks a settings file. `changes` are `key=value`, as `--set` gives them: `run.seed=3`; they count
+    /// over what the file says.
     ///
     /// # Errors
-    /// [`TrainingError::Io`], [`TrainingError::Syntax`] or [`TrainingError::Setting`].
-    pub fn read(path: &Path) -> Result<Self, TrainingError> {
+    /// [`TrainingError::Io`], [`TrainingError::Syntax`], [`TrainingError::Change`] or [`TrainingError::Setting`].
+    pub fn read(path: &Path, changes: &[String]) -> Result<Self, TrainingError> {
         let text = std::fs::read_to_string(path).map_err(TrainingError::io(path))?;
-        Self::parse(path, &text)
+        Self::parse(path, &text, changes)
     }
 
     /// The settings that a text says; its relative paths belong to the folder of `path`.
     ///
     /// # Errors
-    /// [`TrainingError::Syntax`] or [`TrainingError::Setting`].
-    pub fn parse(path: &Path, text: &str) -> Result<Self, TrainingError> {
+    /// As [`Settings::read`].
+    pub fn parse(path: &Path, text: &str, changes: &[String]) -> Result<Self, TrainingError> {
         let mut settings: Self =
             toml::from_str(text).map_err(|error| syntax(path, text, &error))?;
+        if !changes.is_empty() {
+            let mut table: toml::Table =
+                toml::from_str(text).map_err(|error| syntax(path, text, &error))?;
+            for change in changes {
+                apply(&mut table, change)?;
+                // After each, so that a message is about this one.
+                settings = table.clone().try_into().map_err(|error: toml::de::Error| {
+                    let message = error.message().replace('\n', " ");
+                    TrainingError::Change { change: change.clone(), why: message }
+                })?;
+            }
+        }
         path.clone_into(&mut settings.path);
         let base = path.parent().unwrap_or(Path::new(""));
         for own in settings.paths() {
@@ -217,6 +230,29 @@ impl Settings {
         self.objective.check(self)?;
         self.data.check(self)
     }
+}
+
+/// Sets the value of a dotted key. A value that is no TOML is a text: `run.device=cuda` needs no quotes.
+fn apply(table: &mut toml::Table, change: &str) -> Result<(), TrainingError> {
+    let wrong =
+        |why: &str| TrainingError::Change { change: change.to_owned(), why: why.to_owned() };
+    let (key, value) =
+        change.split_once('=').ok_or_else(|| wrong("write key=value, as run.seed=3"))?;
+    let value = value.trim();
+    let value = toml::from_str::<toml::Table>(&format!("value = {value}"))
+        .ok()
+        .and_then(|mut parsed| parsed.remove("value"))
+        .unwrap_or_else(|| toml::Value::String(value.to_owned()));
+    let mut parts: Vec<&str> = key.trim().split('.').collect();
+    let last =
+        parts.pop().filter(|last| !last.is_empty()).ok_or_else(|| wrong("there is no key"))?;
+    let mut at = table;
+    for part in parts {
+        let next = at.entry(part).or_insert_with(|| toml::Value::Table(toml::Table::new()));
+        at = next.as_table_mut().ok_or_else(|| wrong(&format!("`{part}` is no table")))?;
+    }
+    at.insert(last.to_owned(), value);
+    Ok(())
 }
 
 fn syntax(path: &Path, text: &str, error: &toml::de::Error) -> TrainingError {

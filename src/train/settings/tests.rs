@@ -4,7 +4,7 @@ use super::*;
 use serde_json::json;
 
 fn parse(text: &str) -> Result<Settings, TrainingError> {
-    Settings::parse(Path::new("/runs/a/train.toml"), text)
+    Settings::parse(Path::new("/runs/a/train.toml"), text, &[])
 }
 
 fn refusal(text: &str) -> String {
@@ -91,4 +91,34 @@ fn only_what_the_weights_depend_on_is_compared() {
     assert_eq!((key.as_str(), now.as_str()), ("data.settings.scenes", "3"));
     let other = identity("[objective]\nkind = \"paper\"\n");
     assert_eq!(difference(&first, &other).expect("differs").0, "objective.kind");
+}
+
+#[test]
+fn the_command_line_changes_single_settings() {
+    let parse = |changes: &[&str]| {
+        let changes: Vec<String> = changes.iter().map(|change| (*change).to_owned()).collect();
+        Settings::parse(Path::new("a.toml"), "[run]\nseed = 4\nbatch = 3\n", &changes)
+    };
+    let settings = parse(&[
+        "run.seed=5",
+        "run.device=cuda:1",
+        "objective.heights.gravity = 0",
+        "data.simulated.symmetries=false",
+    ]);
+    let settings = settings.expect("parses");
+    assert_eq!((settings.run.seed, settings.run.batch), (5, 3));
+    assert_eq!(settings.device().expect("a device"), Device::Cuda(1));
+    assert_eq!(settings.objective.heights().gravity, 0.0);
+    assert!(!settings.data.simulated.symmetries);
+    for (change, part) in [
+        ("run.sede=5", "unknown field `sede`"),
+        ("seed", "write key=value"),
+        ("run.seed.x=1", "`seed` is no table"),
+        ("=3", "there is no key"),
+        ("run.seed=many", "invalid type"),
+    ] {
+        let error = parse(&[change]).expect_err(change).to_string();
+        assert!(error.starts_with(&format!("--set {change}: ")) && error.contains(part), "{error}");
+    }
+    assert!(parse(&["run.batch=0"]).expect_err("zero").to_string().contains("`run.batch` = 0"));
 }
