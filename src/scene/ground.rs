@@ -351,6 +351,19 @@ impl GroundPaint {
                 let base = if inner { rgb(70, 104, 140) } else { rgb(84, 122, 88) };
                 line(46 + 2 * u32::from(inner), scale(base, wear), long || cross || service || net)
             }
+            Cover::Track => {
+                let bed = mix(rgb(148, 140, 130), rgb(112, 106, 100), broad);
+                let bed = scale(bed, 0.74 + 0.46 * grain);
+                let sleeper = (u / 0.62).rem_euclid(1.0) < 0.42 && v.abs() < 1.25;
+                let rail = (v.abs() - 0.75).abs() < 0.07;
+                if rail {
+                    Paint { colour: rgb(150, 136, 124), key: 56 }
+                } else if sleeper {
+                    Paint { colour: scale(rgb(158, 150, 138), 0.8 + 0.3 * grain), key: 55 }
+                } else {
+                    Paint { colour: scale(bed, 0.8), key: 54 }
+                }
+            }
             Cover::Pitch => {
                 let (hu, hv) = rect.map_or((1.0, 1.0), |r| (r.half_u, r.half_v));
                 let mown = if (u / 5.0).rem_euclid(2.0) < 1.0 { 1.07 } else { 0.95 };

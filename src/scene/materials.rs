@@ -8,7 +8,8 @@ use super::solid::{Face, Shape};
 use super::world::Solid;
 
 /// Colour of a point on a face of a solid.
-pub(super) fn paint(solid: &Solid, face: Face, at: [f64; 3]) -> Paint {
+/// `leafy`: whether leaves show one by one (`[detail]`).
+pub(super) fn paint(solid: &Solid, face: Face, at: [f64; 3], leafy: bool) -> Paint {
     let [x, y, z] = at;
     let frame = match &solid.shape {
         Shape::Prism(p) => Some((p.rect, p.rect.local(x, y))),
@@ -26,7 +27,7 @@ pub(super) fn paint(solid: &Solid, face: Face, at: [f64; 3]) -> Paint {
             }
             _ => Paint { colour, key: 0 },
         },
-        Finish::Foliage { colour, seed } => foliage(solid, colour, seed, at),
+        Finish::Foliage { colour, seed } => foliage(solid, colour, seed, at, leafy),
         Finish::CarBody { colour } => car_body(frame, colour),
         Finish::CarCabin { colour } => car_cabin(frame, face, colour),
         Finish::Planks { colour, seed } => {
@@ -177,7 +178,7 @@ fn walls(w: &Wall, colour: Colour) -> Paint {
     Paint { colour: if fz < 0.05 { scale(plaster, 0.82) } else { plaster }, key: 31 }
 }
 
-fn foliage(solid: &Solid, colour: Colour, seed: u32, at: [f64; 3]) -> Paint {
+fn foliage(solid: &Solid, colour: Colour, seed: u32, at: [f64; 3], leafy: bool) -> Paint {
     let [x, y, z] = at;
     let clump = fractal(x * 1.25 + z * 0.4, y * 1.25 - z * 0.3, seed, 3);
     let leaf = value(x * 5.5 + z, y * 5.5, seed ^ 1);
@@ -187,6 +188,12 @@ fn foliage(solid: &Solid, colour: Colour, seed: u32, at: [f64; 3]) -> Paint {
         Shape::Crown(c) => ((z - c.bottom) / (c.top - c.bottom).max(0.1)) as f32,
         _ => 1.0,
     };
+    if leafy {
+        let tone = (0.3 + 0.75 * clump + 0.62 * (leaf - 0.35) + 0.3 * (spark - 0.5)).max(0.12)
+            * (0.36 + 0.68 * depth);
+        let warm = mix(colour, [colour[0] * 1.3, colour[1] * 1.2, colour[2] * 0.75], leaf);
+        return Paint { colour: scale(warm, tone), key: 0 };
+    }
     let tone = (0.42 + 0.62 * clump + 0.32 * leaf + 0.2 * (spark - 0.5)) * (0.5 + 0.55 * depth);
     let warm = mix(colour, [colour[0] * 1.35, colour[1] * 1.2, colour[2] * 0.8], clump - 0.3);
     Paint { colour: scale(warm, tone), key: 0 }

@@ -9,10 +9,11 @@
 //! * [`SceneSpec`]: what a scene file says ([`spec`]), checked (`validate`).
 //! * [`effects`]: the plan; each effect has a bound, a cost and a cause.
 //! * [`terrain`], [`streets`], [`layout`], [`solid`], [`world`], `epoch`: the scene itself.
-//! * `render`, `ground`, `materials`, `shadows`: pictures.
+//! * `render`, `camera`, `ground`, `materials`, `shadows`: pictures.
 //! * [`random`]: scenes drawn at random, to learn from.
 //! * [`lidar`], [`truth`], [`vigor_files`], [`whole`], [`simulate()`]: what is written.
 
+mod camera;
 pub mod effects;
 mod epoch;
 mod error;

@@ -201,6 +201,8 @@ pub enum Cover {
     TennisCourt,
     /// A football pitch with its lines.
     Pitch,
+    /// A railway track along u: rails on sleepers.
+    Track,
 }
 
 /// A painted rectangle on the ground. Later patches lie over earlier ones.

@@ -4,10 +4,10 @@
 //! costs only where it shows).
 
 use super::effects::Effect;
-use super::ground::{Paint, mix, scale};
+use super::ground::{Paint, scale};
 use super::layout::SHORE_STRIP_M;
 use super::materials;
-use super::object::{Class, Colour, Epoch, rgb};
+use super::object::{Class, Colour, Epoch};
 use super::pixels::PixelPositions;
 use super::solid::Face;
 use super::surface::Scene;
@@ -47,11 +47,15 @@ impl Scene {
     /// Renders an image, 3 bytes per pixel, row 0 in the north.
     #[must_use]
     pub fn render(&self, pixels: &PixelPositions, image_seed: u64) -> Vec<u8> {
-        let pitch = (pixels.size()[0] - 2 * pixels.margin()) as u64;
-        self.render_sheet(pixels, &Sheet { halo: 0, seed: image_seed, first: 0, pitch })
+        let width = pixels.size()[0] - 2 * pixels.margin();
+        let sheet = Sheet { halo: 0, seed: image_seed, first: 0, pitch: width as u64 };
+        let mut picture = self.render_sheet(pixels, &sheet);
+        self.camera.develop(&mut picture, width);
+        picture
     }
 
-    /// Renders a part of a picture. With a halo it is the same as in any larger part.
+    /// Renders a part of a picture. With a halo it is the same as in any larger part. What a camera does to
+    /// a finished picture is left to the caller.
     #[must_use]
     pub(super) fn render_sheet(&self, pixels: &PixelPositions, sheet: &Sheet) -> Vec<u8> {
         let (margin, halo) = (pixels.margin(), sheet.halo);
@@ -100,7 +104,7 @@ impl Scene {
                 }
                 let number = sheet.first + row as u64 * sheet.pitch + column as u64;
                 for i in 0..3 {
-                    let mut level = 255.0 * tone(colour[i]).sqrt();
+                    let mut level = 255.0 * self.camera.curve(tone(colour[i]).sqrt());
                     if noise > 0.0 {
                         let hash = key(&[sheet.seed, number, i as u64]);
                         level += (noise * normal(hash)) as f32;
@@ -120,9 +124,10 @@ impl Scene {
         let high = sun.step[2] as f32;
         // A low sun is redder and leaves the sky to light the rest.
         let warm = (1.0 - high).powi(2);
-        let strength = (0.8 / high).min(3.2);
+        let deep = self.camera.sky_light;
+        let strength = ((0.8 + 0.2 * (1.0 - deep)) / high).min(3.2);
         let sun_colour = [1.0 + 0.1 * warm, 0.985 - 0.06 * warm, 0.95 - 0.3 * warm];
-        Light { sky: [0.2, 0.235, 0.3], sun: scale(sun_colour, strength) }
+        Light { sky: scale([0.2, 0.235, 0.3], deep), sun: scale(sun_colour, strength) }
     }
 
     /// What is seen at a position of the image: the ground point that lies there, or what stands
@@ -154,7 +159,7 @@ impl Scene {
             Some(index) => {
                 let solid = &self.world(Epoch::Image).solids[index as usize];
                 let n = solid.shape.normal(seen.face, seen.at);
-                let paint = materials::paint(solid, seen.face, seen.at);
+                let paint = materials::paint(solid, seen.face, seen.at, self.spec.detail.is_some());
                 (paint, n, solid.class, u64::from(index) + 1)
             }
             None => {
@@ -179,7 +184,7 @@ impl Scene {
                 lit = along as f32;
             }
         }
-        let colour = shade(light, &paint, n[2] as f32, lit, class);
+        let colour = self.camera.expose(shade(light, &paint, n[2] as f32, lit, class));
         // Leaves are all edges; antialiasing them one by one would blur nothing but cost much.
         let face = if class == Class::Tree { 0 } else { face_number(seen.face) };
         let parts = [thing, face, u64::from(paint.key), u64::from(lit > 0.0)];
@@ -210,8 +215,7 @@ fn shade(light: &Light, paint: &Paint, up: f32, lit: f32, class: Class) -> Colou
         // Leaves let some light through, which makes them yellower.
         colour = [colour[0] * 1.06, colour[1] * 1.05, colour[2] * 0.9];
     }
-    // A little haze.
-    mix(colour, rgb(150, 160, 176), 0.025)
+    colour
 }
 
 /// Compresses what is brighter than white, so that pale roofs keep their texture.

@@ -44,6 +44,12 @@ pub struct SceneSpec {
     pub picture: Option<PictureSpec>,
     /// What changed between the lidar's year and the images' year; nothing without the table.
     pub change: Option<ChangeSpec>,
+    /// Air, lens and processing of the images; clear air and a perfect camera without the table.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub camera: Option<CameraSpec>,
+    /// More of what real cities have; nothing of it without the table.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub detail: Option<DetailSpec>,
 }
 
 impl Default for SceneSpec {
@@ -66,6 +72,8 @@ impl Default for SceneSpec {
             images: ImageSpec::default(),
             picture: None,
             change: None,
+            camera: None,
+            detail: None,
         }
     }
 }
@@ -548,4 +556,65 @@ impl Default for ChangeSpec {
             cars_move: true,
         }
     }
+}
+
+/// `[camera]`: what air, lens and processing make of the images. Heights do not hang on it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CameraSpec {
+    /// Light of the sky in shadows, as a factor: deep shadows below 1, 0.1 to 2.
+    pub sky_light: f64,
+    /// Share of the picture that is haze, 0 to 0.6.
+    pub haze: f64,
+    /// Brightness, as a factor of linear light, 0.2 to 4.
+    pub exposure: f64,
+    /// Factors of red, green and blue, 0.5 to 2.
+    pub white_balance: [f64; 3],
+    /// Colourfulness, as a factor; 0 is grey, at most 2.
+    pub saturation: f64,
+    /// Contrast of the display values about a middle grey, as a factor, 0.3 to 3.
+    pub contrast: f64,
+    /// Standard deviation of the blur, pixels, 0 to 5.
+    pub blur_pixels: f64,
+    /// Share of the fine detail that is added again, 0 to 2.
+    pub sharpening: f64,
+    /// Whether colours have half the resolution of brightness, as in JPEG files.
+    pub half_colour_resolution: bool,
+}
+
+impl Default for CameraSpec {
+    fn default() -> Self {
+        Self {
+            sky_light: 1.0,
+            haze: 0.025,
+            exposure: 1.0,
+            white_balance: [1.0; 3],
+            saturation: 1.0,
+            contrast: 1.0,
+            blur_pixels: 0.0,
+            sharpening: 0.0,
+            half_colour_resolution: false,
+        }
+    }
+}
+
+/// `[detail]`: more of what real cities have. Every key at 0 leaves the scene as it is without the table,
+/// but for the colours and crowns, which are more varied.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DetailSpec {
+    /// Weight of blocks of railway tracks among those of `[blocks]`.
+    pub railway: f64,
+    /// Share of the lots in suburbs with a block of flats, 0 to 1.
+    pub flats_share: f64,
+    /// Share of roofs, cars and walls that are black, grey or white, 0 to 1.
+    pub grey_share: f64,
+    /// How much larger garden and street trees are, as a share, 0 to 2.
+    pub larger_trees: f64,
+    /// Share of the forest whose crowns touch, 0 to 1.
+    pub closed_canopy: f64,
+    /// Share of the local streets with poles and wires, 0 to 1.
+    pub wires_share: f64,
+    /// Share of the gardens with fences, 0 to 1.
+    pub fence_share: f64,
 }

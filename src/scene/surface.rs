@@ -1,5 +1,6 @@
 //! A scene: a pure function of position. Everything that is written is a sample of it.
 
+use super::camera::Camera;
 use super::effects::{Effect, Effects, Options, reach, resolve};
 use super::epoch;
 use super::error::SceneError;
@@ -47,6 +48,7 @@ pub struct Scene {
     pub(super) paint: GroundPaint,
     pub(super) sun: Option<SunRay>,
     pub(super) lean: [f64; 2],
+    pub(super) camera: Camera,
     worlds: [Arc<World>; 2],
 }
 
@@ -78,9 +80,11 @@ impl Scene {
             Arc::new(World::new(objects, indexed))
         };
         let image = make(Epoch::Image);
-        let lidar = if change.happens() { make(Epoch::Lidar) } else { Arc::clone(&image) };
+        let apart = change.happens() || layout.objects.iter().any(|o| o.only.is_some());
+        let lidar = if apart { make(Epoch::Lidar) } else { Arc::clone(&image) };
         let paint = GroundPaint::new(&layout, indexed, spec.images.season, spec.seed);
         let (sun, lean) = (sun_ray(&spec, &frame, &effects), view_lean(&spec, &frame, &effects));
+        let camera = Camera::new(spec.camera.as_ref());
         Ok(Self {
             spec,
             frame,
@@ -92,6 +96,7 @@ impl Scene {
             paint,
             sun,
             lean,
+            camera,
             worlds: [lidar, image],
         })
     }

@@ -98,6 +98,8 @@ impl Terrain {
         for wave in &mut waves {
             wave.amplitude *= t.relief_metres / 2.0 / total;
         }
+        // Level waves cost as much as high ones.
+        waves.retain(|wave| wave.amplitude != 0.0);
         Self {
             base: t.base_height_metres,
             slope: [slope * libm::sin(azimuth), slope * libm::cos(azimuth)],

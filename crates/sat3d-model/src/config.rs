@@ -11,11 +11,16 @@ use serde_json::Value;
 use std::path::Path;
 
 mod reader;
+mod small;
 
 use reader::Reader;
+pub(crate) use small::STYLE as SMALL_STYLE;
+use small::small;
 
 /// Class names of a checkpoint: the released one, and the alias that older trainings wrote.
 const CLASS_NAMES: [&str; 2] = ["Sat3DGen", "VAE_finetune"];
+/// Class name of the small model, which the reference does not know.
+const SMALL_CLASS: &str = "Sat3DMini";
 /// The `config.json` of the release.
 pub const RELEASED: &str = include_str!("config/released.json");
 /// Length of the illumination histogram: 90 bins of 3 channels (section 9.3).
@@ -87,6 +92,22 @@ impl DecoderConfig {
     }
 }
 
+/// Sizes of the small convolutional network that stands in for encoder and decoder
+/// ([`crate::network`]).
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct UNetConfig {
+    /// Channels at 64, 32 and 16 places to a side.
+    pub widths: [usize; 3],
+    /// Residual blocks at each.
+    pub blocks: [usize; 3],
+    /// Blocks of attention at the lowest level.
+    pub attention: usize,
+    /// Heads of each.
+    pub heads: usize,
+    /// Channels beside the plane's that training supervises; a finished model has none.
+    pub auxiliary: usize,
+}
+
 /// How a convolution of the super-resolution module continues its input over the border.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -106,6 +127,10 @@ pub struct Config {
     pub class_name: String,
     /// The encoder.
     pub backbone: BackboneConfig,
+    /// The small network in place of encoder and decoder; then `backbone` and `decoder` hold its outer
+    /// sizes, and there is no network for the sky.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub unet: Option<UNetConfig>,
     /// Fraction of the image added as empty tokens on each side (0.125 in the release; 0 for none).
     pub pad: f64,
     /// `position_scale_factor`: the image covers x and y in [-scale, scale] of the cube.
@@ -178,7 +203,11 @@ impl Config {
             message: error.to_string(),
         })?;
         let class_name = match root.get("_class_name") {
-            Some(Value::String(name)) if CLASS_NAMES.contains(&name.as_str()) => name.clone(),
+            Some(Value::String(name))
+                if CLASS_NAMES.contains(&name.as_str()) || name == SMALL_CLASS =>
+            {
+                name.clone()
+            }
             other => {
                 return Err(ModelError::ClassName {
                     origin: origin.into(),
@@ -190,6 +219,9 @@ impl Config {
         let network = opt.required_object("network")?;
         let triplane = network.required_object("triplane")?;
 
+        if class_name == SMALL_CLASS {
+            return small(class_name, &opt, &network, &triplane);
+        }
         let backbone = backbone(&opt)?;
         only(&network, "no_hidden_states", false, true)?;
         only(&network, "no_cls_token", false, true)?;
@@ -248,6 +280,7 @@ impl Config {
         Ok(Self {
             class_name,
             backbone,
+            unet: None,
             pad,
             scale,
             representation,

@@ -3,7 +3,7 @@
 use crate::config::Config;
 use crate::error::ModelError;
 use crate::field::{FieldInputs, PointHead};
-use crate::network::{BurnNetwork, Device, Network};
+use crate::network::{BurnNetwork, Device, Network, SmallNetwork};
 use crate::preprocess::{self, Image8};
 use crate::scene::{Scene, SceneParts, SkyParts};
 use crate::weights::{Checkpoint, TensorSource, point_head};
@@ -68,7 +68,12 @@ impl Model {
         device: &Device,
     ) -> Result<Self, ModelError> {
         let head = point_head(&config, source.as_ref())?;
-        let network = Box::new(BurnNetwork::new(config.clone(), source, *device)?);
+        let network: Box<dyn Network> = match &config.unet {
+            Some(unet) => {
+                Box::new(SmallNetwork::new(config.clone(), unet.clone(), source, *device)?)
+            }
+            None => Box::new(BurnNetwork::new(config.clone(), source, *device)?),
+        };
         Ok(Self { config, head, network })
     }
 

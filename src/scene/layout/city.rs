@@ -2,7 +2,7 @@
 
 use super::plants::jitter;
 use super::suburb::FOUNDATION_M;
-use super::{Builder, Frame};
+use super::{Builder, Frame, detail};
 use crate::random::Draw;
 use crate::scene::object::{Class, Colour, Cover, Covering, Finish, Kind, Part, rgb};
 use crate::scene::purpose;
@@ -30,7 +30,7 @@ fn roof_part(rect: Rect, bottom: f64, z: f64, look: Look, seed: u32) -> Part {
 }
 
 #[derive(Clone, Copy)]
-struct Look {
+pub(super) struct Look {
     covering: Covering,
     roof: Colour,
     wall: Colour,
@@ -38,7 +38,8 @@ struct Look {
 }
 
 impl Look {
-    fn draw(draw: &mut Draw) -> Self {
+    /// Roof and wall; with a `grey` share (`[detail] grey_share`) the colours are plainer.
+    pub(super) fn draw(draw: &mut Draw, grey: f64) -> Self {
         let covering = draw.pick([Covering::Membrane, Covering::Membrane, Covering::Gravel]);
         let roof = draw.pick([
             rgb(214, 212, 204),
@@ -56,17 +57,19 @@ impl Look {
             rgb(110, 124, 138),
             rgb(196, 192, 184),
         ]);
-        Self {
-            covering,
-            roof: jitter(draw, roof, 0.12),
-            wall: jitter(draw, wall, 0.1),
-            storey: 3.4,
-        }
+        let (roof, wall) = (jitter(draw, roof, 0.12), jitter(draw, wall, 0.1));
+        Self { covering, roof: detail::greyed(draw, roof, 0.6 * grey), wall, storey: 3.4 }
     }
 }
 
 /// A flat-roofed body with a parapet and what stands on its roof.
-fn flat_building(draw: &mut Draw, rect: Rect, bottom: f64, top: f64, look: Look) -> Vec<Part> {
+pub(super) fn flat_building(
+    draw: &mut Draw,
+    rect: Rect,
+    bottom: f64,
+    top: f64,
+    look: Look,
+) -> Vec<Part> {
     let seed = draw.bits() as u32;
     let mut parts = vec![roof_part(rect, bottom, top, look, seed)];
     let (hu, hv) = (rect.half_u, rect.half_v);
@@ -154,9 +157,14 @@ fn tower(b: &mut Builder<'_>, draw: &mut Draw, lot: &Rect) {
     }
     let (low, high) = b.ground_under(&podium);
     let bottom = low - FOUNDATION_M;
-    let share = draw.unit();
+    let mut share = draw.unit();
+    if b.spec.detail.is_some() {
+        // High houses stand on large lots.
+        let area = 4.0 * podium.half_u * podium.half_v;
+        share *= (area / 900.0).clamp(0.3, 1.0).sqrt();
+    }
     let height = (b.spec.blocks.tower_height_metres * (0.16 + 0.84 * share * share)).max(6.0);
-    let look = Look::draw(draw);
+    let look = Look::draw(draw, b.grey_share());
     let mut parts = Vec::new();
     if height > 16.0 {
         let base = draw.range(5.0, 11.0);
@@ -165,7 +173,7 @@ fn tower(b: &mut Builder<'_>, draw: &mut Draw, lot: &Rect) {
         let (hu, hv) = (podium.half_u * shrink, podium.half_v * shrink);
         let shift = podium.half_u * (1.0 - shrink) * draw.range(-0.7, 0.7);
         let shaft = podium.sub(shift, 0.0, hu, hv);
-        let upper = Look::draw(draw);
+        let upper = Look::draw(draw, b.grey_share());
         let top = high + height;
         if height > 30.0 && draw.chance(0.5) {
             let waist = high + height * draw.range(0.6, 0.85);
@@ -264,7 +272,7 @@ pub(super) fn commercial(b: &mut Builder<'_>, block: &BlockArea) {
             continue;
         }
         let (low, high) = b.ground_under(&rect);
-        let look = Look { storey: 0.0, ..Look::draw(&mut draw) };
+        let look = Look { storey: 0.0, ..Look::draw(&mut draw, b.grey_share()) };
         let top = high + draw.range(5.5, 10.0);
         let parts = flat_building(&mut draw, rect, low - FOUNDATION_M, top, look);
         b.add(Kind::Building, parts);
@@ -291,6 +299,15 @@ pub(super) fn industrial(b: &mut Builder<'_>, block: &BlockArea) {
             continue;
         }
         let (low, high) = b.ground_under(&rect);
+        if b.spec.detail.is_some() && draw.chance(0.45) {
+            // A flat roof; wide halls are high.
+            let wide = (rect.half_u.min(rect.half_v) / 14.0).min(1.0);
+            let top = high + draw.range(4.5, 7.5) + 3.5 * wide;
+            let look = Look { storey: 0.0, ..Look::draw(&mut draw, b.grey_share()) };
+            let parts = flat_building(&mut draw, rect, low - FOUNDATION_M, top, look);
+            b.add(Kind::Building, parts);
+            continue;
+        }
         let colour = draw.pick([
             rgb(176, 182, 186),
             rgb(148, 156, 160),
@@ -302,7 +319,10 @@ pub(super) fn industrial(b: &mut Builder<'_>, block: &BlockArea) {
         let slope = draw.range(0.08, 0.2);
         let finish = Finish::Roof {
             covering: Covering::Metal,
-            colour: jitter(&mut draw, colour, 0.15),
+            colour: {
+                let colour = jitter(&mut draw, colour, 0.15);
+                detail::greyed(&mut draw, colour, 0.5 * b.grey_share())
+            },
             wall: jitter(&mut draw, rgb(168, 172, 172), 0.15),
             storey: 0.0,
             seed: draw.bits() as u32,

@@ -4,6 +4,7 @@
 //! plan (block, lot, slot), so that nothing depends on what was laid out before it.
 
 mod city;
+mod detail;
 mod open;
 mod plants;
 mod suburb;
@@ -37,6 +38,8 @@ pub enum Use {
     Park,
     /// Closed forest.
     Forest,
+    /// Railway tracks.
+    Railway,
 }
 
 impl Use {
@@ -50,6 +53,7 @@ impl Use {
             Self::Suburb => Cover::Lawn,
             Self::Park => Cover::Meadow,
             Self::Forest => Cover::Litter,
+            Self::Railway => Cover::Gravel,
         }
     }
 }
@@ -105,6 +109,7 @@ pub fn lay_out(
             Use::Suburb => suburb::fill(&mut builder, block),
             Use::Park => open::park(&mut builder, block),
             Use::Forest => open::forest(&mut builder, block),
+            Use::Railway => detail::railway(&mut builder, block),
         }
     }
     traffic::along_streets(&mut builder, &uses);
@@ -136,6 +141,7 @@ fn assign_uses(
         (Use::Suburb, b.suburb),
         (Use::Park, b.park),
         (Use::Forest, b.forest),
+        (Use::Railway, spec.detail.map_or(0.0, |d| d.railway)),
     ];
     let total: f64 = weights.iter().map(|w| w.1).sum();
     let reach = spec.extent.width_metres.max(spec.extent.height_metres);

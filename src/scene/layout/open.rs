@@ -1,7 +1,7 @@
 //! Parks, forest, and the waterfront with its docks.
 
-use super::Builder;
 use super::plants::jitter;
+use super::{Builder, detail};
 use crate::random::Draw;
 use crate::scene::object::{Class, Cover, Finish, Kind, Part, rgb};
 use crate::scene::purpose;
@@ -50,7 +50,10 @@ fn overlaps(a: &Rect, b: &Rect) -> bool {
 pub(super) fn forest(b: &mut Builder<'_>, block: &BlockArea) {
     let mut draw = b.draw(purpose::LOTS, &[block.index[0], block.index[1], 50]);
     let all = b.street_rect([block.s0, block.s1], [block.t0, block.t1]);
-    scatter(b, &mut draw, &all, b.spec.trees.forest_per_hectare, &[]);
+    match b.spec.detail.filter(|d| d.closed_canopy > 0.0) {
+        Some(d) => detail::canopy(b, &mut draw, &all, d.closed_canopy),
+        None => scatter(b, &mut draw, &all, b.spec.trees.forest_per_hectare, &[]),
+    }
 }
 
 /// Plants trees on a jittered lattice, in clumps, with undergrowth.

@@ -21,7 +21,8 @@ impl Builder<'_> {
         let (kind, parts) = if conifer {
             (Kind::Conifer, conifer_parts(draw, [x, y, ground], height))
         } else {
-            (Kind::Broadleaf, broadleaf_parts(draw, [x, y, ground], height, season))
+            let lush = self.spec.detail.is_some();
+            (Kind::Broadleaf, broadleaf_parts(draw, [x, y, ground], height, season, lush))
         };
         self.add(kind, parts);
     }
@@ -142,18 +143,25 @@ fn trunk(at: [f64; 3], height: f64, top: f64) -> Part {
 }
 
 /// A round, lumpy crown on a trunk.
-fn broadleaf_parts(draw: &mut Draw, at: [f64; 3], height: f64, season: Season) -> Vec<Part> {
+fn broadleaf_parts(
+    draw: &mut Draw,
+    at: [f64; 3],
+    height: f64,
+    season: Season,
+    lush: bool,
+) -> Vec<Part> {
     let [x, y, ground] = at;
     let radius = height * draw.range(0.26, 0.42);
     let depth = height * draw.range(0.5, 0.68);
-    let count = 9 + (radius * 2.6) as usize;
-    let mut puffs: Vec<Puff> = (0..count.min(30))
+    let count = if lush { 14 + (radius * 4.0) as usize } else { 9 + (radius * 2.6) as usize };
+    let (least, most) = if lush { (0.16, 0.36) } else { (0.24, 0.4) };
+    let mut puffs: Vec<Puff> = (0..count.min(if lush { 36 } else { 30 }))
         .map(|i| {
             // Golden-angle turns spread the lumps; the first sits in the middle.
             let angle = i as f64 * 2.399_963 + draw.range(-0.5, 0.5);
             let share = if i == 0 { 0.0 } else { ((i as f64) / count as f64).sqrt() };
             let off = radius * 0.74 * share * draw.range(0.85, 1.12);
-            let size = radius * draw.range(0.24, 0.4) * if i == 0 { 1.35 } else { 1.0 };
+            let size = radius * draw.range(least, most) * if i == 0 { 1.35 } else { 1.0 };
             let drop = depth * (0.3 + 0.42 * share * share) + depth * draw.range(-0.07, 0.07);
             Puff {
                 center: [
@@ -166,10 +174,21 @@ fn broadleaf_parts(draw: &mut Draw, at: [f64; 3], height: f64, season: Season) -
             }
         })
         .collect();
+    if lush {
+        // The dense inside, under the lumps.
+        puffs.push(Puff {
+            center: [x, y, ground + height - 0.55 * depth],
+            radius: 0.72 * radius,
+            half_height: 0.36 * depth,
+        });
+    }
     let top = puffs.iter().map(|p| p.center[2] + p.half_height).fold(f64::NEG_INFINITY, f64::max);
     for puff in &mut puffs {
         puff.center[2] += ground + height - top;
     }
+    // Trees turn one by one.
+    let season =
+        if lush && season == Season::Autumn && draw.chance(0.55) { Season::Summer } else { season };
     let colour = broadleaf_colour(draw, season);
     vec![crown_part(x, y, puffs, colour, draw), trunk(at, height, ground + height - 0.55 * depth)]
 }
@@ -216,7 +235,7 @@ mod tests {
         for i in 0..50 {
             let mut draw = Draw::new(&[i]);
             for parts in [
-                broadleaf_parts(&mut draw, [1.0, 2.0, 30.0], 12.0, Season::Summer),
+                broadleaf_parts(&mut draw, [1.0, 2.0, 30.0], 12.0, Season::Summer, i % 2 == 0),
                 conifer_parts(&mut draw, [1.0, 2.0, 30.0], 12.0),
             ] {
                 let Shape::Crown(crown) = &parts[0].shape else { panic!("a crown comes first") };

@@ -1,7 +1,7 @@
 //! Blocks of family houses: two rows of lots back to back, each with a house, a drive, a garden.
 
 use super::plants::jitter;
-use super::{Builder, Frame};
+use super::{Builder, Frame, detail};
 use crate::random::Draw;
 use crate::scene::object::{Class, Colour, Cover, Covering, Finish, Kind, Part, rgb};
 use crate::scene::purpose;
@@ -51,14 +51,15 @@ struct Lot {
 
 /// The colours of one house.
 #[derive(Clone, Copy)]
-struct Style {
+pub(super) struct Style {
     covering: Covering,
     roof: Colour,
     wall: Colour,
 }
 
 impl Style {
-    fn draw(draw: &mut Draw) -> Self {
+    /// Roof and wall; with a `grey` share (`[detail] grey_share`) the colours are plainer.
+    pub(super) fn draw(draw: &mut Draw, grey: f64) -> Self {
         let covering = match draw.index(10) {
             0 => Covering::Tile,
             1 => Covering::Metal,
@@ -89,10 +90,11 @@ impl Style {
             rgb(136, 146, 122),
             rgb(206, 188, 146),
         ]);
-        Self { covering, roof: jitter(draw, roof, 0.15), wall: jitter(draw, wall, 0.1) }
+        let (roof, wall) = (jitter(draw, roof, 0.15), jitter(draw, wall, 0.1));
+        Self { covering, roof: detail::greyed(draw, roof, grey), wall }
     }
 
-    fn part(self, rect: Rect, bottom: f64, roof: Roof, seed: u32) -> Part {
+    pub(super) fn part(self, rect: Rect, bottom: f64, roof: Roof, seed: u32) -> Part {
         Part {
             class: Class::Building,
             finish: Finish::Roof {
@@ -115,6 +117,15 @@ impl Lot {
         }
         let side = if draw.chance(0.5) { 1.0 } else { -1.0 };
         let drive_w = side * (self.width / 2.0 - 2.0);
+        let size = [self.width, self.depth];
+        if let Some(d) = b.spec.detail
+            && d.flats_share > 0.0
+            && draw.chance(d.flats_share)
+            && detail::flats(b, draw, f, size)
+        {
+            return;
+        }
+        detail::fences(b, draw, f, size);
         if draw.chance(b.spec.blocks.built_share) {
             self.house(b, draw, side, drive_w);
         }
@@ -124,7 +135,7 @@ impl Lot {
     /// House, drive, path, garage; the drive runs along the lot's edge on `side`.
     fn house(&self, b: &mut Builder<'_>, draw: &mut Draw, side: f64, drive_w: f64) {
         let f = &self.frame;
-        let style = Style::draw(draw);
+        let style = Style::draw(draw, b.grey_share());
         let seed = draw.bits() as u32;
         let half_w = (draw.range(4.2, 5.6)).min(self.width / 2.0 - 2.9);
         let half_d = draw.range(4.2, 6.8).min(self.depth / 2.0 - 6.0).max(3.0);
@@ -177,6 +188,9 @@ impl Lot {
                 finish: Finish::Plain { colour: rgb(134, 84, 70) },
                 shape: Shape::Prism(Prism { rect, bottom, roof: flat(top) }),
             });
+        }
+        if b.spec.detail.is_some() {
+            detail::roof_shapes(draw, &main, roof, bottom, style, &mut parts);
         }
         self.roof_lights(draw, &main, roof, &mut parts);
         b.add(Kind::Building, parts);
@@ -262,7 +276,7 @@ impl Lot {
             let rect = f.rect(-side * (half - 2.3), back - 2.6, 1.4, 1.1);
             if b.can_build(&rect) {
                 let (low, high) = b.ground_under(&rect);
-                let style = Style::draw(draw);
+                let style = Style::draw(draw, b.grey_share());
                 let roof = Roof::Gable { ridge: high + 2.5, slope: 0.45 };
                 let part = style.part(rect, low - 0.3, roof, draw.bits() as u32);
                 b.add(Kind::Building, vec![part]);
@@ -283,6 +297,7 @@ impl Lot {
             };
             let [x, y] = f.at(w, d);
             let scale = draw.range(0.2, 0.75);
+            let scale = b.enlarged(draw, scale);
             b.plant_tree(draw, x, y, scale);
         }
         for _ in 0..3 + draw.index(7) {

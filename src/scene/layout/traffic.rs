@@ -1,6 +1,6 @@
 //! Cars, street trees and lamp posts along the streets.
 
-use super::{Builder, SHORE_STRIP_M, Use};
+use super::{Builder, SHORE_STRIP_M, Use, detail};
 use crate::random::Draw;
 use crate::scene::object::{Class, Colour, Finish, Kind, Part, rgb};
 use crate::scene::purpose;
@@ -30,6 +30,7 @@ impl Builder<'_> {
 
     fn car_parts(&self, draw: &mut Draw, at: [f64; 2], axis: [f64; 2]) -> Vec<Part> {
         let colour = car_colour(draw);
+        let colour = detail::grey_car(draw, colour, self.grey_share());
         let van = draw.chance(0.12);
         let (length, width) = if van { (5.6, 2.0) } else { (draw.range(4.1, 4.9), 1.82) };
         let turn = draw.range(-0.025, 0.025);
@@ -159,6 +160,40 @@ impl Segment {
             self.trees(b, side, self.beside(uses, side));
             self.lamps(b, side);
         }
+        self.wires(b);
+    }
+
+    /// Poles along one side of a local street, and the wires between them (`[detail] wires_share`).
+    fn wires(&self, b: &mut Builder<'_>) {
+        let share = b.spec.detail.map_or(0.0, |d| d.wires_share);
+        // A street has them from end to end, or not at all.
+        let mut row =
+            b.draw(purpose::TRAFFIC, &[self.family as i64, self.street.number, 0, 7, 0, 0]);
+        if share <= 0.0 || self.street.arterial || !row.chance(share) {
+            return;
+        }
+        let side = if row.chance(0.5) { 1.0 } else { -1.0 };
+        let (height, reach) = (row.range(8.5, 12.5), self.street.half_width + 0.7);
+        let count = ((self.to - self.from) / row.range(28.0, 42.0)).round().max(1.0) as i64;
+        let along = |k: i64| self.from + (k as f64 + 0.5) * (self.to - self.from) / count as f64;
+        let [ax, ay] = self.axis(b);
+        let mut feet: Vec<[f64; 2]> =
+            (0..count).map(|k| self.at(b, side * reach, along(k))).collect();
+        for foot in &feet {
+            if b.is_land(foot[0], foot[1], SHORE_STRIP_M) {
+                detail::pole(b, *foot, [-ay, ax], height);
+            }
+        }
+        // On over the crossing, half of the way to the next pole.
+        let half = (self.to - self.from) / count as f64 / 2.0;
+        let over = self.low.half_width + half;
+        feet.insert(0, self.at(b, side * reach, along(0) - half - over));
+        feet.push(self.at(b, side * reach, along(count - 1) + half + over));
+        for pair in feet.windows(2) {
+            if pair.iter().all(|p| b.is_land(p[0], p[1], SHORE_STRIP_M)) {
+                detail::wires(b, pair[0], pair[1], height);
+            }
+        }
     }
 
     fn trees(&self, b: &mut Builder<'_>, side: f64, beside: Option<Use>) {
@@ -177,6 +212,7 @@ impl Segment {
             let keep = if beside == Some(Use::Industrial) { 0.3 } else { 0.8 };
             if planted && draw.chance(keep) {
                 let [x, y] = self.at(b, side * (self.street.half_width + 1.15), along);
+                let size = b.enlarged(&mut draw, size);
                 b.plant_tree(&mut draw, x, y, size);
             }
         }

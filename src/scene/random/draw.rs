@@ -3,8 +3,8 @@
 use super::{Kind, RandomScenes, purpose};
 use crate::random::{Draw, key};
 use crate::scene::spec::{
-    BlockSpec, CarSpec, ExtentSpec, ImageSpec, LidarSpec, PlaceSpec, SceneSpec, Season, Side,
-    StreetSpec, SunSpec, TerrainSpec, TreeSpec, ViewSpec, WaterSpec,
+    BlockSpec, CameraSpec, CarSpec, DetailSpec, ExtentSpec, ImageSpec, LidarSpec, PlaceSpec,
+    SceneSpec, Season, Side, StreetSpec, SunSpec, TerrainSpec, TreeSpec, ViewSpec, WaterSpec,
 };
 
 /// Room around the square, metres in all: turning the square by the convergence of the grid (1.3
@@ -42,6 +42,8 @@ pub(super) fn spec(scenes: &RandomScenes, index: u64, metres: f64) -> SceneSpec 
             sensor_noise_levels: draw.range(0.0, 4.0),
             ..ImageSpec::default()
         },
+        camera: Some(camera(draw)),
+        detail: Some(detail(draw, kind)),
         ..SceneSpec::default()
     }
 }
@@ -79,9 +81,7 @@ fn terrain(draw: &mut Draw, kind: Kind) -> TerrainSpec {
     };
     TerrainSpec {
         base_height_metres: draw.range(20.0, 90.0),
-        relief_metres: if kind == Kind::Waterfront { 1.0 } else { 10.0 }
-            * draw.unit()
-            * draw.unit(),
+        relief_metres: relief(draw, kind),
         wavelength_metres: draw.range(150.0, 420.0),
         slope_percent: most * steep * steep * steep,
         slope_azimuth_degrees: draw.range(0.0, 360.0),
@@ -193,4 +193,54 @@ fn view(draw: &mut Draw) -> Option<ViewSpec> {
     }
     let off = if draw.chance(0.12) { draw.range(12.0, 25.0) } else { 12.0 * draw.unit() };
     Some(ViewSpec { off_nadir_degrees: off, azimuth_degrees: draw.range(0.0, 360.0) })
+}
+
+/// Half of the scenes lie on a plane.
+fn relief(draw: &mut Draw, kind: Kind) -> f64 {
+    let hills = draw.chance(0.5);
+    let height = draw.unit() * draw.unit();
+    match (hills, kind) {
+        (false, _) => 0.0,
+        (true, Kind::Waterfront) => height,
+        (true, _) => 10.0 * height,
+    }
+}
+
+/// Air, lens and processing: most pictures are contrasty, muted and sharpened, some hazy or soft.
+fn camera(draw: &mut Draw) -> CameraSpec {
+    let warm = draw.range(-0.09, 0.09);
+    let tint = draw.range(-0.04, 0.04);
+    let hazy = if draw.chance(0.2) { draw.range(0.05, 0.22) } else { draw.range(0.0, 0.05) };
+    CameraSpec {
+        sky_light: draw.range(0.22, 0.95),
+        haze: hazy,
+        exposure: draw.range(0.7, 1.35),
+        white_balance: [1.0 + warm, 1.0 + tint, 1.0 - warm],
+        saturation: draw.range(0.45, 0.98),
+        contrast: draw.range(0.92, 1.25),
+        blur_pixels: if draw.chance(0.5) { draw.range(0.3, 0.95) } else { 0.0 },
+        sharpening: if draw.chance(0.55) { draw.range(0.2, 1.0) } else { 0.0 },
+        half_colour_resolution: draw.chance(0.6),
+    }
+}
+
+fn detail(draw: &mut Draw, kind: Kind) -> DetailSpec {
+    let sometimes = |draw: &mut Draw, chance: f64, low: f64, high: f64| {
+        let value = draw.range(low, high);
+        if draw.chance(chance) { value } else { 0.0 }
+    };
+    let railway = match kind {
+        Kind::Industry => 0.35,
+        Kind::Mixed | Kind::Waterfront => 0.12,
+        _ => 0.0,
+    };
+    DetailSpec {
+        railway: sometimes(draw, railway, 0.3, 2.5),
+        flats_share: sometimes(draw, 0.35, 0.03, 0.5),
+        grey_share: draw.range(0.2, 0.9),
+        larger_trees: draw.range(0.0, 1.0),
+        closed_canopy: if draw.chance(0.6) { draw.range(0.5, 1.0) } else { 0.0 },
+        wires_share: sometimes(draw, 0.6, 0.3, 1.0),
+        fence_share: draw.range(0.0, 0.8),
+    }
 }

@@ -206,7 +206,7 @@ fn probe(observer: Observer<'_>) -> Probe<'_> {
     }
 }
 
-fn check(what: &'static str, grid: &Grid, shape: [usize; 3]) -> Result<(), ModelError> {
+pub(super) fn check(what: &'static str, grid: &Grid, shape: [usize; 3]) -> Result<(), ModelError> {
     let [channels, height, width] = shape;
     if [grid.channels, grid.height, grid.width] == shape {
         return Ok(());
@@ -218,7 +218,11 @@ fn check(what: &'static str, grid: &Grid, shape: [usize; 3]) -> Result<(), Model
     })
 }
 
-fn check_length(what: &'static str, values: &[f32], length: usize) -> Result<(), ModelError> {
+pub(super) fn check_length(
+    what: &'static str,
+    values: &[f32],
+    length: usize,
+) -> Result<(), ModelError> {
     if values.len() == length {
         return Ok(());
     }
@@ -233,7 +237,7 @@ fn values<const D: usize>(stage: &'static str, tensor: Tensor<D>) -> Result<Vec<
     data.try_into_vec().map_err(|error| failed(error.to_string()))
 }
 
-fn download(stage: &'static str, tensor: Tensor<4>) -> Result<Grid, ModelError> {
+pub(super) fn download(stage: &'static str, tensor: Tensor<4>) -> Result<Grid, ModelError> {
     let [_, channels, height, width] = tensor.dims();
     Ok(Grid::new(channels, height, width, values(stage, tensor)?))
 }

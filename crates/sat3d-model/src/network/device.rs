@@ -57,7 +57,7 @@ impl Device {
     ///
     /// # Errors
     /// [`ModelError::Device`] where the program was built without the device's feature.
-    pub(super) fn open(self) -> Result<burn::tensor::Device, ModelError> {
+    pub(crate) fn open(self) -> Result<burn::tensor::Device, ModelError> {
         match self {
             Self::Cpu => Ok(burn::tensor::Device::flex()),
             #[cfg(feature = "cuda")]

@@ -9,13 +9,13 @@ use burn::tensor::{Tensor, activation, module};
 
 /// A dense layer; the weight is `outputs x inputs`, as stored.
 #[derive(Module, Debug)]
-pub(super) struct Linear {
+pub(crate) struct Linear {
     weight: Param<Tensor<2>>,
     bias: Option<Param<Tensor<1>>>,
 }
 
 impl Linear {
-    pub(super) fn load(
+    pub(crate) fn load(
         loader: &Loader<'_>,
         inputs: usize,
         outputs: usize,
@@ -24,7 +24,7 @@ impl Linear {
         Ok(Self { bias, ..Self::without_bias(loader, inputs, outputs)? })
     }
 
-    pub(super) fn without_bias(
+    pub(crate) fn without_bias(
         loader: &Loader<'_>,
         inputs: usize,
         outputs: usize,
@@ -33,7 +33,7 @@ impl Linear {
     }
 
     /// `rows x inputs` to `rows x outputs`.
-    pub(super) fn forward(&self, input: Tensor<2>) -> Tensor<2> {
+    pub(crate) fn forward(&self, input: Tensor<2>) -> Tensor<2> {
         let bias = self.bias.as_ref().map(Param::val);
         module::linear(input, self.weight.val().transpose(), bias)
     }
@@ -41,7 +41,7 @@ impl Linear {
 
 /// A convolution that keeps the size of its input (or, for patches, steps by its own size).
 #[derive(Module, Debug)]
-pub(super) struct Conv {
+pub(crate) struct Conv {
     weight: Param<Tensor<4>>,
     bias: Option<Param<Tensor<1>>>,
     #[module(skip)]
@@ -52,7 +52,7 @@ pub(super) struct Conv {
 
 impl Conv {
     /// A `side x side` convolution, zeros around its input.
-    pub(super) fn load(
+    pub(crate) fn load(
         loader: &Loader<'_>,
         inputs: usize,
         outputs: usize,
@@ -67,7 +67,7 @@ impl Conv {
     }
 
     /// A 1 x 1 convolution without bias.
-    pub(super) fn without_bias(
+    pub(crate) fn without_bias(
         loader: &Loader<'_>,
         inputs: usize,
         outputs: usize,
@@ -81,17 +81,17 @@ impl Conv {
     }
 
     /// The same with another border.
-    pub(super) fn with_border(self, border: Border) -> Self {
+    pub(crate) fn with_border(self, border: Border) -> Self {
         Self { border, ..self }
     }
 
     /// The same, one output per patch of the kernel's size.
-    pub(super) fn patches(self) -> Self {
+    pub(crate) fn patches(self) -> Self {
         let [_, _, side, _] = self.weight.dims();
         Self { stride: side, ..self }
     }
 
-    pub(super) fn forward(&self, input: Tensor<4>) -> Tensor<4> {
+    pub(crate) fn forward(&self, input: Tensor<4>) -> Tensor<4> {
         let [_, _, side, _] = self.weight.dims();
         let margin = if self.stride == 1 { side / 2 } else { 0 };
         let (input, zeros) = match self.border {
@@ -115,7 +115,7 @@ fn wrap(input: Tensor<4>, axis: usize, margin: usize) -> Tensor<4> {
 
 /// Scale and shift after a normalisation over the last axis.
 #[derive(Module, Debug)]
-pub(super) struct LayerNorm {
+pub(crate) struct LayerNorm {
     weight: Param<Tensor<1>>,
     bias: Param<Tensor<1>>,
     #[module(skip)]
@@ -123,7 +123,7 @@ pub(super) struct LayerNorm {
 }
 
 impl LayerNorm {
-    pub(super) fn load(
+    pub(crate) fn load(
         loader: &Loader<'_>,
         channels: usize,
         epsilon: f64,
@@ -135,14 +135,14 @@ impl LayerNorm {
         })
     }
 
-    pub(super) fn forward(&self, input: Tensor<2>) -> Tensor<2> {
+    pub(crate) fn forward(&self, input: Tensor<2>) -> Tensor<2> {
         module::layer_norm(input, self.weight.val(), Some(self.bias.val()), self.epsilon)
     }
 }
 
 /// Normalisation over [`GROUPS`] groups of channels, then scale and shift per channel.
 #[derive(Module, Debug)]
-pub(super) struct GroupNorm {
+pub(crate) struct GroupNorm {
     weight: Param<Tensor<1>>,
     bias: Param<Tensor<1>>,
 }
@@ -150,14 +150,14 @@ pub(super) struct GroupNorm {
 impl GroupNorm {
     const EPSILON: f64 = 1e-6;
 
-    pub(super) fn load(loader: &Loader<'_>, channels: usize) -> Result<Self, ModelError> {
+    pub(crate) fn load(loader: &Loader<'_>, channels: usize) -> Result<Self, ModelError> {
         Ok(Self {
             weight: loader.parameter("weight", [channels])?,
             bias: loader.parameter("bias", [channels])?,
         })
     }
 
-    pub(super) fn forward(&self, input: Tensor<4>) -> Tensor<4> {
+    pub(crate) fn forward(&self, input: Tensor<4>) -> Tensor<4> {
         let [_, channels, _, _] = input.dims();
         let per_channel = [1, channels, 1, 1];
         let (centred, inverse) = standardise(input, GROUPS, Self::EPSILON);
@@ -170,7 +170,7 @@ impl GroupNorm {
 ///
 /// Means are taken over rows first and over their means then: every row has the same length, so
 /// that is exact, and in f32 it errs by the square root of what one long sum would.
-pub(super) fn standardise(input: Tensor<4>, groups: usize, epsilon: f64) -> (Tensor<4>, Tensor<4>) {
+pub(crate) fn standardise(input: Tensor<4>, groups: usize, epsilon: f64) -> (Tensor<4>, Tensor<4>) {
     let [_, channels, height, width] = input.dims();
     let rows = channels / groups * height;
     let mean = |values: Tensor<4>| {
@@ -185,17 +185,17 @@ pub(super) fn standardise(input: Tensor<4>, groups: usize, epsilon: f64) -> (Ten
 }
 
 /// x * sigmoid(x).
-pub(super) fn swish(input: Tensor<4>) -> Tensor<4> {
+pub(crate) fn swish(input: Tensor<4>) -> Tensor<4> {
     activation::silu(input)
 }
 
 /// Doubles height and width, each pixel becoming four.
-pub(super) fn nearest(input: Tensor<4>) -> Tensor<4> {
+pub(crate) fn nearest(input: Tensor<4>) -> Tensor<4> {
     double(input, InterpolateMode::Nearest)
 }
 
 /// Doubles height and width bilinearly, pixels being areas (`align_corners` false).
-pub(super) fn bilinear(input: Tensor<4>) -> Tensor<4> {
+pub(crate) fn bilinear(input: Tensor<4>) -> Tensor<4> {
     double(input, InterpolateMode::Bilinear)
 }
 

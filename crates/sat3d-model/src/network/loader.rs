@@ -7,7 +7,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use std::fmt::Display;
 
 /// A place in the tree of modules, from which parameters are read.
-pub(super) struct Loader<'a> {
+pub(crate) struct Loader<'a> {
     source: &'a dyn TensorSource,
     device: &'a Device,
     path: String,
@@ -15,18 +15,23 @@ pub(super) struct Loader<'a> {
 
 impl<'a> Loader<'a> {
     /// The root of a checkpoint.
-    pub(super) fn new(source: &'a dyn TensorSource, device: &'a Device) -> Self {
+    pub(crate) fn new(source: &'a dyn TensorSource, device: &'a Device) -> Self {
         Self { source, device, path: String::new() }
     }
 
     /// The module `name` below this one.
-    pub(super) fn child(&self, name: impl Display) -> Self {
+    pub(crate) fn child(&self, name: impl Display) -> Self {
         let path = self.key(name);
         Self { source: self.source, device: self.device, path }
     }
 
+    /// Where this is, as keys begin.
+    pub(crate) fn path(&self) -> &str {
+        &self.path
+    }
+
     /// One parameter of this module. The values go to the device before the next are read.
-    pub(super) fn parameter<const D: usize>(
+    pub(crate) fn parameter<const D: usize>(
         &self,
         name: &str,
         shape: [usize; D],

@@ -9,17 +9,21 @@ use crate::tensor::Grid;
 
 mod burned;
 mod decoder;
-mod device;
+pub(crate) mod device;
 mod encoder;
-mod layers;
-mod loader;
+pub(crate) mod layers;
+pub(crate) mod loader;
 mod probe;
 mod sky;
+mod small;
 mod super_resolution;
+pub(crate) mod unet;
 
 pub use burned::{BurnNetwork, Observer};
 pub use device::Device;
 pub use probe::Stage;
+pub use small::SmallNetwork;
+pub(crate) use unet::{STEM as UNET_STEM, TEXELS as UNET_TEXELS};
 
 /// The stages of the network. Inputs and outputs are plain tensors in memory; each call is one
 /// image.

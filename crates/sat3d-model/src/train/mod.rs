@@ -4,11 +4,16 @@
 //! * [`losses`]: every term of the objectives, as functions of tensors.
 //! * [`Learner`]: a model that learns from batches of examples. It knows nothing of files.
 
+pub mod convolution;
 mod error;
 mod example;
+mod heights;
 mod learner;
 pub mod losses;
+pub mod mini;
+pub mod optimiser;
 
 pub use error::TrainError;
 pub use example::{Class, Example, Street, Truth};
+pub use heights::{HeightLearner, HeightSettings};
 pub use learner::{Exported, Learner, NamedTensor, Outcome, Term};

@@ -1,7 +1,8 @@
 //! The tensors that a config asks for: keys, shapes, and which of them may be absent.
 
-use crate::config::{Config, DecoderConfig, HISTOGRAM};
+use crate::config::{Config, DecoderConfig, HISTOGRAM, PATCHES, UNetConfig};
 use crate::field::Representation;
+use crate::network::{UNET_STEM, UNET_TEXELS};
 
 /// Whether a checkpoint must hold a tensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,6 +42,11 @@ impl TensorSpec {
 #[must_use]
 pub fn expected(config: &Config) -> Vec<TensorSpec> {
     let mut list = List { specs: Vec::new(), need: Need::Required };
+    if let Some(unet) = &config.unet {
+        list.unet(config, unet);
+        list.head(config);
+        return list.specs;
+    }
     list.encoder(config);
     list.decoder("unet_model.decoder", &config.decoder);
     list.head(config);
@@ -88,6 +94,40 @@ impl List {
     fn conv(&mut self, path: &str, inputs: usize, outputs: usize, side: usize) {
         self.push(format!("{path}.weight"), &[outputs, inputs, side, side]);
         self.push(format!("{path}.bias"), &[outputs]);
+    }
+
+    fn unet(&mut self, config: &Config, unet: &UNetConfig) {
+        let [wide, middle, deep] = unet.widths;
+        let blocks = |list: &mut Self, name: &str, width: usize, count: usize| {
+            for block in 0..count {
+                for conv in ["conv1", "conv2"] {
+                    list.conv(&format!("unet.{name}.{block}.{conv}"), width, width, 3);
+                }
+            }
+        };
+        self.conv("unet.stem", 3, wide, UNET_STEM);
+        blocks(self, "level0", wide, unet.blocks[0]);
+        self.conv("unet.down1", wide, middle, 2);
+        blocks(self, "level1", middle, unet.blocks[1]);
+        self.conv("unet.down2", middle, deep, 2);
+        blocks(self, "level2", deep, unet.blocks[2]);
+        self.push("unet.position".into(), &[PATCHES * PATCHES, deep]);
+        for block in 0..unet.attention {
+            let path = format!("unet.attention.{block}");
+            self.norm(&format!("{path}.norm1"), deep);
+            self.linear(&format!("{path}.qkv"), deep, 3 * deep);
+            self.linear(&format!("{path}.proj"), deep, deep);
+            self.norm(&format!("{path}.norm2"), deep);
+            self.linear(&format!("{path}.up"), deep, 2 * deep);
+            self.linear(&format!("{path}.down"), 2 * deep, deep);
+        }
+        self.conv("unet.up1", deep, middle, 1);
+        blocks(self, "merge1", middle, unet.blocks[1]);
+        self.conv("unet.up0", middle, wide, 1);
+        blocks(self, "merge0", wide, unet.blocks[0]);
+        let texels = UNET_TEXELS * UNET_TEXELS;
+        self.conv("unet.plane", wide, texels * (config.plane_channels + unet.auxiliary), 1);
+        self.push("unet.line".into(), &[config.plane_channels, config.map_side()]);
     }
 
     fn encoder(&mut self, config: &Config) {
