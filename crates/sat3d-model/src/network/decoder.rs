@@ -11,7 +11,7 @@ use burn::tensor::{Tensor, activation};
 
 /// Low-resolution map to high-resolution map.
 #[derive(Module, Debug)]
-pub(super) struct Decoder {
+pub(crate) struct Decoder {
     conv_in: Conv,
     mid: Middle,
     up: Vec<Level>,
@@ -22,7 +22,7 @@ pub(super) struct Decoder {
 impl Decoder {
     /// `border` is that of `conv_in`, `conv_out` and each level's first convolutions; all others
     /// pad with zeros.
-    pub(super) fn load(
+    pub(crate) fn load(
         loader: &Loader<'_>,
         config: &DecoderConfig,
         border: Border,
@@ -50,7 +50,7 @@ impl Decoder {
         })
     }
 
-    pub(super) fn forward(&self, input: Tensor<4>, probe: &mut Probe<'_>) -> Tensor<4> {
+    pub(crate) fn forward(&self, input: Tensor<4>, probe: &mut Probe<'_>) -> Tensor<4> {
         let mut map = self.conv_in.forward(input);
         probe.see("conv_in", &map);
         map = probe.inside("mid", |probe| self.mid.forward(map, probe));

@@ -11,7 +11,7 @@ use std::f64::consts::TAU;
 
 /// The vision transformer.
 #[derive(Module, Debug)]
-pub(super) struct Encoder {
+pub(crate) struct Encoder {
     embeddings: Embeddings,
     layer: Vec<Block>,
     norm: LayerNorm,
@@ -20,7 +20,7 @@ pub(super) struct Encoder {
 }
 
 impl Encoder {
-    pub(super) fn load(loader: &Loader<'_>, config: &BackboneConfig) -> Result<Self, ModelError> {
+    pub(crate) fn load(loader: &Loader<'_>, config: &BackboneConfig) -> Result<Self, ModelError> {
         Ok(Self {
             embeddings: Embeddings::load(&loader.child("embeddings"), config)?,
             layer: (0..config.layers)
@@ -32,8 +32,18 @@ impl Encoder {
     }
 
     /// Image `1 x 3 x side x side` to the patches' map `1 x hidden x 16 x 16`.
-    pub(super) fn forward(&self, image: Tensor<4>, probe: &mut Probe<'_>) -> Tensor<4> {
-        let (cos, sin) = self.rotary.on(&image.device());
+    pub(crate) fn forward(&self, image: Tensor<4>, probe: &mut Probe<'_>) -> Tensor<4> {
+        self.forward_turned(image, None, probe)
+    }
+
+    /// The same with another table of rotary angles, where one is given.
+    pub(crate) fn forward_turned(
+        &self,
+        image: Tensor<4>,
+        rotary: Option<&RotaryTable>,
+        probe: &mut Probe<'_>,
+    ) -> Tensor<4> {
+        let (cos, sin) = rotary.unwrap_or(&self.rotary).on(&image.device());
         let mut tokens = self.embeddings.forward(image);
         probe.see("embeddings", &tokens);
         for (index, block) in self.layer.iter().enumerate() {
@@ -237,7 +247,7 @@ fn rotate(input: Tensor<3>, cos: &Tensor<3>, sin: &Tensor<3>) -> Tensor<3> {
 /// Cosines and sines of the rotary angles, `tokens x head`; class and register tokens stay as they
 /// are (angle 0).
 #[derive(Clone, Debug)]
-pub(super) struct RotaryTable {
+pub(crate) struct RotaryTable {
     tokens: usize,
     head: usize,
     cos: Vec<f32>,
@@ -247,11 +257,17 @@ pub(super) struct RotaryTable {
 impl RotaryTable {
     /// Patch (row, column) lies at `2 (index + 1/2) / 16 - 1`; the first quarter of a head turns
     /// with the row, the second with the column, and the other half repeats both.
-    pub(super) fn new(config: &BackboneConfig) -> Self {
+    pub(crate) fn new(config: &BackboneConfig) -> Self {
+        Self::scaled(config, 1.0)
+    }
+
+    /// The same with all coordinates multiplied by `factor`, as training does at random.
+    pub(crate) fn scaled(config: &BackboneConfig, factor: f64) -> Self {
         let head = config.head();
         let quarter = head / 4;
         let tokens = 1 + config.registers + PATCHES * PATCHES;
-        let place = |index: usize| 2.0 * (index as f64 + 0.5) / PATCHES as f64 - 1.0;
+        let place =
+            |index: usize| (2.0 * (index as f64 + 0.5) / PATCHES as f64 - 1.0) * factor;
         let frequency =
             |index: usize| libm::pow(config.rope_theta, -(index as f64) * 4.0 / head as f64);
         let mut angles = vec![0.0; (1 + config.registers) * head];
@@ -271,7 +287,7 @@ impl RotaryTable {
 
     /// Values for the patch tokens, `256 x head`: cosines and sines.
     #[cfg(test)]
-    pub(super) fn patches(&self) -> (&[f32], &[f32]) {
+    pub(crate) fn patches(&self) -> (&[f32], &[f32]) {
         let skipped = (self.tokens - PATCHES * PATCHES) * self.head;
         (&self.cos[skipped..], &self.sin[skipped..])
     }

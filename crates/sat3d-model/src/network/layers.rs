@@ -10,8 +10,8 @@ use burn::tensor::{Tensor, activation, module};
 /// A dense layer; the weight is `outputs x inputs`, as stored.
 #[derive(Module, Debug)]
 pub(crate) struct Linear {
-    weight: Param<Tensor<2>>,
-    bias: Option<Param<Tensor<1>>>,
+    pub(crate) weight: Param<Tensor<2>>,
+    pub(crate) bias: Option<Param<Tensor<1>>>,
 }
 
 impl Linear {

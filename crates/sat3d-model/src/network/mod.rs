@@ -8,15 +8,15 @@ use crate::error::ModelError;
 use crate::tensor::Grid;
 
 mod burned;
-mod decoder;
+pub(crate) mod decoder;
 pub(crate) mod device;
-mod encoder;
+pub(crate) mod encoder;
 pub(crate) mod layers;
 pub(crate) mod loader;
-mod probe;
-mod sky;
+pub(crate) mod probe;
+pub(crate) mod sky;
 mod small;
-mod super_resolution;
+pub(crate) mod super_resolution;
 pub(crate) mod unet;
 
 pub use burned::{BurnNetwork, Observer};

@@ -14,24 +14,24 @@ pub struct Stage {
 }
 
 /// Takes stages as they pass, or lets them pass unseen.
-pub(super) struct Probe<'a> {
+pub(crate) struct Probe<'a> {
     sink: Option<&'a mut dyn FnMut(Stage)>,
     prefix: String,
 }
 
 impl<'a> Probe<'a> {
     /// Sees nothing and costs nothing.
-    pub(super) fn none() -> Self {
+    pub(crate) fn none() -> Self {
         Self { sink: None, prefix: String::new() }
     }
 
     /// Hands every stage to `sink`.
-    pub(super) fn new(sink: &'a mut dyn FnMut(Stage)) -> Self {
+    pub(crate) fn new(sink: &'a mut dyn FnMut(Stage)) -> Self {
         Self { sink: Some(sink), prefix: String::new() }
     }
 
     /// Runs `inner` with `name.` before the names of its stages.
-    pub(super) fn inside<T>(&mut self, name: &str, inner: impl FnOnce(&mut Self) -> T) -> T {
+    pub(crate) fn inside<T>(&mut self, name: &str, inner: impl FnOnce(&mut Self) -> T) -> T {
         if self.sink.is_none() {
             return inner(self);
         }
@@ -44,7 +44,7 @@ impl<'a> Probe<'a> {
     }
 
     /// Shows one stage; the first axis is dropped where it is a batch of one image.
-    pub(super) fn see<const D: usize>(&mut self, name: &str, tensor: &Tensor<D>) {
+    pub(crate) fn see<const D: usize>(&mut self, name: &str, tensor: &Tensor<D>) {
         let Some(sink) = &mut self.sink else { return };
         let mut shape = tensor.dims().to_vec();
         if D == 4 {

@@ -9,13 +9,13 @@ use burn::tensor::{Tensor, activation};
 
 /// Dense layers, each followed by a leaky ReLU, the last one too.
 #[derive(Module, Debug)]
-pub(super) struct SkyMapping {
+pub(crate) struct SkyMapping {
     /// Every second place is an activation, which has no parameters.
     mapping: Vec<Option<Linear>>,
 }
 
 impl SkyMapping {
-    pub(super) fn load(loader: &Loader<'_>, config: &Config) -> Result<Self, ModelError> {
+    pub(crate) fn load(loader: &Loader<'_>, config: &Config) -> Result<Self, ModelError> {
         let place = loader.child("mapping");
         let mut mapping = Vec::with_capacity(2 * config.sky_mapping_layers);
         for layer in 0..config.sky_mapping_layers {
@@ -28,7 +28,7 @@ impl SkyMapping {
     }
 
     /// `1 x 270` to `1 x 512`.
-    pub(super) fn forward(&self, histogram: Tensor<2>) -> Tensor<2> {
+    pub(crate) fn forward(&self, histogram: Tensor<2>) -> Tensor<2> {
         self.mapping.iter().fold(histogram, |code, layer| match layer {
             Some(linear) => linear.forward(code),
             None => activation::leaky_relu(code, 0.2),

@@ -14,13 +14,13 @@ use burn::tensor::{Tensor, activation};
 
 /// The upsampler.
 #[derive(Module, Debug)]
-pub(super) struct SuperResolution {
+pub(crate) struct SuperResolution {
     block0: Features,
     block1: Residual,
 }
 
 impl SuperResolution {
-    pub(super) fn load(loader: &Loader<'_>, config: &Config) -> Result<Self, ModelError> {
+    pub(crate) fn load(loader: &Loader<'_>, config: &Config) -> Result<Self, ModelError> {
         Ok(Self {
             block0: Features::load(&loader.child("block0"), config)?,
             block1: Residual::load(&loader.child("block1"), config)?,
@@ -29,7 +29,7 @@ impl SuperResolution {
 
     /// `1 x colours x h x w` to `1 x 3 x 2h x 2w`: the first three channels enlarged, plus a
     /// residual.
-    pub(super) fn forward(&self, input: Tensor<4>, probe: &mut Probe<'_>) -> Tensor<4> {
+    pub(crate) fn forward(&self, input: Tensor<4>, probe: &mut Probe<'_>) -> Tensor<4> {
         let rgb = input.clone().narrow(1, 0, 3);
         let features = probe.inside("block0", |probe| self.block0.forward(input, probe));
         probe.see("block0", &features);

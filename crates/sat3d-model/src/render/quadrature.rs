@@ -187,6 +187,11 @@ pub fn cells(
     hit
 }
 
+/// The middles of `count` equal parts of [0, 1].
+fn middles(count: usize) -> impl Iterator<Item = f64> {
+    (0..count).map(move |j| (j as f64 + 0.5) / count as f64)
+}
+
 /// Buffers of the importance samplers.
 #[derive(Clone, Debug, Default)]
 pub struct ImportanceRoom {
@@ -208,17 +213,22 @@ impl ImportanceRoom {
         }
     }
 
-    /// `count` radii at u = (j + 1/2) / count of the distribution whose density over the bins
-    /// `bins[k]..bins[k + 1]` is `smooth[from + k]`, ascending.
-    fn invert(&self, from: usize, cells: usize, count: usize, fine: &mut Vec<f32>) {
+    /// Radii at the cumulated shares `shares` (ascending, in [0, 1)) of the distribution whose density
+    /// over the bins `bins[k]..bins[k + 1]` is `smooth[from + k]`, ascending.
+    fn invert(
+        &self,
+        from: usize,
+        cells: usize,
+        shares: impl Iterator<Item = f64>,
+        fine: &mut Vec<f32>,
+    ) {
         fine.clear();
         let pdf = &self.smooth[from..][..cells];
         let total: f64 = pdf.iter().map(|weight| weight + 1e-5).sum();
         // The first position whose cumulated share reaches u, and the one before it.
         let (mut index, mut below, mut above) = (0, 0.0, 0.0);
         let mut last = f32::NEG_INFINITY;
-        for j in 0..count {
-            let u = (j as f64 + 0.5) / count as f64;
+        for u in shares {
             while above < u && index < cells {
                 below = above;
                 above += (pdf[index] + 1e-5) / total;
@@ -235,12 +245,24 @@ impl ImportanceRoom {
     }
 
     /// As released: bins are the middles of the coarse intervals, the outer two weights are left out.
+    /// The `count` radii lie at the middles of equal shares.
     pub fn released(&mut self, radii: &[f32], weights: &[f32], count: usize, fine: &mut Vec<f32>) {
+        self.released_at(radii, weights, middles(count), fine);
+    }
+
+    /// The same at given shares of the distribution, ascending in [0, 1).
+    pub fn released_at(
+        &mut self,
+        radii: &[f32],
+        weights: &[f32],
+        shares: impl Iterator<Item = f64>,
+        fine: &mut Vec<f32>,
+    ) {
         self.smooth(weights);
         self.bins.clear();
         let middle = |pair: &[f32]| 0.5 * (f64::from(pair[0]) + f64::from(pair[1]));
         self.bins.extend(radii.windows(2).map(middle));
-        self.invert(1, weights.len() - 2, count, fine);
+        self.invert(1, weights.len() - 2, shares, fine);
     }
 
     /// Over the cells themselves, all of them.
@@ -254,6 +276,6 @@ impl ImportanceRoom {
         self.smooth(weights);
         self.bins.clear();
         self.bins.extend_from_slice(edges);
-        self.invert(0, weights.len(), count, fine);
+        self.invert(0, weights.len(), middles(count), fine);
     }
 }

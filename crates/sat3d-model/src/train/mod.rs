@@ -5,15 +5,28 @@
 //! * [`Learner`]: a model that learns from batches of examples. It knows nothing of files.
 
 pub mod convolution;
+mod discriminator;
 mod error;
 mod example;
+mod field;
+mod generator;
 mod heights;
 mod learner;
 pub mod losses;
 pub mod mini;
 pub mod optimiser;
+mod paper;
+mod parameters;
+mod rays;
+mod render;
+mod targets;
 
 pub use error::TrainError;
 pub use example::{Class, Example, Street, Truth};
+pub use generator::{MapNetwork, ReleasedMap};
 pub use heights::{HeightLearner, HeightSettings};
 pub use learner::{Exported, Learner, NamedTensor, Outcome, Term};
+pub use paper::{
+    AdversarialWeights, Form, PaperLearner, PaperSettings, Perceptual, Photometric, TermWeights,
+};
+pub use rays::ViewSettings;
