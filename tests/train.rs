@@ -173,7 +173,7 @@ fn other_settings_are_refused_with_the_key_and_free_ones_are_not() {
         ("run.batch=4", ["`run.batch`", "(3, now 4)"]),
         ("run.seed=12", ["`run.seed`", "(11, now 12)"]),
         ("data.simulated.scenes=4", ["scenes`", "(3, now 4)"]),
-        ("objective.heights.gravity=0", ["`objective.heights.gravity`", "now 0.0)"]),
+        ("objective.heights.slope=0", ["`objective.heights.slope`", "now 0.0)"]),
     ] {
         let error = train(SHORT, &[change], folder.path(), &Interrupt::default(), &habits());
         let error = error.unwrap_err().to_string();
@@ -349,17 +349,17 @@ fn the_command_line_explains_and_refuses() {
         command
     };
     let plan = stdout(&call(&mut command(&["--explain"]), 0));
-    for part in ["3 simulated scenes of 48 px", "loss.height", "24 steps of 3", "seed 11", "mini"] {
+    for part in ["3 simulated scenes of 48 px", "loss.slope", "24 steps of 3", "seed 11", "mini"] {
         assert!(plan.contains(part), "{part} in\n{plan}");
     }
     let json = stdout(&call(
-        &mut command(&["--explain", "--json", "--set", "objective.heights.gravity=0"]),
+        &mut command(&["--explain", "--json", "--set", "objective.heights.slope=0"]),
         0,
     ));
     let json: serde_json::Value = serde_json::from_str(&json).unwrap();
     let steps = json["steps"].as_array().unwrap();
-    let gravity = steps.iter().find(|step| step["id"] == "loss.gravity").unwrap();
-    assert_eq!((&gravity["on"], &gravity["reason"]), (&false.into(), &"its weight is 0".into()));
+    let slope = steps.iter().find(|step| step["id"] == "loss.slope").unwrap();
+    assert_eq!((&slope["on"], &slope["reason"]), (&false.into(), &"its weight is 0".into()));
     // Nothing was written for an explanation.
     assert!(!folder.path().join("out").exists());
     let error = stderr(&call(&mut command(&["--set", "run.batch=0"]), 2));

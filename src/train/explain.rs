@@ -2,7 +2,7 @@
 
 use super::factory::parameters;
 use super::run::Prepared;
-use super::settings::{DataSource, ModelKind, ObjectiveKind};
+use super::settings::{DataSource, ModelKind};
 use crate::plan::{Bound, Plan, Step};
 use serde_json::Map;
 
@@ -25,32 +25,24 @@ pub fn plan(prepared: &Prepared) -> Plan {
     let run = &settings.run;
     let mut steps = data_steps(prepared);
     steps.push(model_step(prepared));
-    let objective = &settings.objective;
-    for (term, weight) in objective.terms() {
-        let lacks = objective.lacks(term, settings);
-        let on = weight > 0.0 && lacks.is_none();
-        let reason = match (lacks, weight > 0.0) {
+    // Checked when the settings were read.
+    for term in settings.terms().unwrap_or_default() {
+        let on = term.weight > 0.0 && term.lacks.is_none();
+        let reason = match (term.lacks, term.weight > 0.0) {
             (_, false) => "its weight is 0",
             (Some(lacks), true) => lacks,
-            (None, true) => "",
+            (None, true) => "the data hold what it needs",
         };
-        let cause = "a weight in the settings, or the default";
+        let cause = format!("objective.{}", settings.objective.kind.name());
         steps.push(step(
-            &format!("loss.{term}"),
+            &format!("loss.{}", term.name.trim_start_matches("weights.")),
             on,
-            format!("weight {weight}"),
-            ["in every step", cause, reason],
+            format!("weight {}", term.weight),
+            ["in every step", &cause, reason],
         ));
     }
-    let rate = match objective.kind {
-        ObjectiveKind::Heights => {
-            let heights = objective.heights();
-            format!("AdamW, learning rate {} along a cosine", heights.learning_rate)
-        }
-        ObjectiveKind::Paper => {
-            format!("AdamW, learning rate {}, constant", objective.paper().learning_rate)
-        }
-    };
+    let rate =
+        settings.objective().map_or_else(|_| String::new(), |objective| objective.optimiser());
     let images = run.steps * run.batch as u64;
     steps.push(step(
         "optimise",

@@ -1,6 +1,6 @@
 //! What the weights depend on, and what may differ when a training goes on.
 
-use super::{ObjectiveKind, Settings};
+use super::Settings;
 use crate::batch::OutputFile;
 use crate::model::weights::{WEIGHTS_FILE, locate};
 use crate::train::error::TrainingError;
@@ -14,14 +14,12 @@ impl Settings {
     /// # Errors
     /// [`TrainingError`] where a named file cannot be read.
     pub fn identity(&self, data: Value) -> Result<Value, TrainingError> {
-        let mut objective = match self.objective.kind {
-            ObjectiveKind::Heights => serde_json::to_value(self.objective.heights()),
-            ObjectiveKind::Paper => serde_json::to_value(self.objective.paper()),
-        }
-        .unwrap_or_default();
-        if let Some(lpips) = self.objective.paper().lpips {
-            objective["lpips"] = hash(&lpips)?.into();
-        }
+        let Value::Object(mut objective) =
+            serde_json::to_value(self.objective()?).unwrap_or_default()
+        else {
+            return Err(self.wrong("objective", self.objective.kind, "cannot be written down"));
+        };
+        objective.insert("kind".into(), self.objective.kind.name().into());
         let config = self.model.config.as_deref().map(hash).transpose()?;
         let start = match &self.model.start {
             Some(folder) => Some(hash(&locate(folder)?.join(WEIGHTS_FILE))?),
@@ -31,18 +29,14 @@ impl Settings {
         let device = self.run.device.split(':').next().unwrap_or_default();
         let run = &self.run;
         Ok(json!({
-            "model": { "kind": self.model.kind, "config": config, "start": start },
-            "objective": { "kind": self.objective.kind, name(self.objective.kind): objective },
+            "model": {
+                "kind": self.model.kind, "config": config, "start": start,
+                "mini": self.model.mini.clone().unwrap_or_default(),
+            },
+            "objective": objective,
             "data": { "source": self.data.source, "settings": data },
             "run": { "steps": run.steps, "batch": run.batch, "seed": run.seed, "device": device },
         }))
-    }
-}
-
-const fn name(kind: ObjectiveKind) -> &'static str {
-    match kind {
-        ObjectiveKind::Heights => "heights",
-        ObjectiveKind::Paper => "paper",
     }
 }
 

@@ -21,13 +21,15 @@
 mod data;
 mod identity;
 mod objective;
+mod overlay;
 
 pub use data::{DataSettings, DataSource, LabelChoice, Position, SimulatedSettings, VigorSettings};
 pub use identity::difference;
-pub use objective::{HeightsSettings, ObjectiveKind, ObjectiveSettings, PaperSettings};
+pub use objective::{Objective, ObjectiveKind, ObjectiveSettings, ObjectiveTerm, PaperForm};
 
 use super::error::TrainingError;
 use crate::model::Device;
+use crate::model::train::mini::MiniSettings;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -71,6 +73,9 @@ pub struct ModelSettings {
     /// Checkpoint folder whose weights the training begins with.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub start: Option<PathBuf>,
+    /// Sizes of `kind = "mini"`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mini: Option<MiniSettings>,
 }
 
 /// How long, where, and what is written.
@@ -165,7 +170,6 @@ impl Settings {
         [&mut self.model.config, &mut self.model.start, &mut self.data.simulated.cache]
             .into_iter()
             .flatten()
-            .chain(self.objective.paths())
             .chain(vigor.into_iter().flat_map(|vigor| {
                 std::iter::once(&mut vigor.folder).chain(vigor.manifest.as_mut())
             }))

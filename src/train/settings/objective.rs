@@ -1,9 +1,11 @@
 //! What is learnt: the losses and the optimiser.
 
+use super::overlay::{Fault, overlay};
 use super::{DataSource, Settings};
+use crate::model::train::{HeightSettings, PaperSettings};
 use crate::train::error::TrainingError;
 use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
+use serde_json::Value;
 
 /// Which losses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -16,242 +18,213 @@ pub enum ObjectiveKind {
     Paper,
 }
 
-/// What is learnt.
+impl ObjectiveKind {
+    /// As the settings name it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Heights => "heights",
+            Self::Paper => "paper",
+        }
+    }
+}
+
+/// Whose form of the paper's objective is the default.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PaperForm {
+    /// As the released code trains.
+    #[default]
+    Release,
+    /// As the paper says.
+    Paper,
+}
+
+/// What is learnt. The tables hold what differs from the defaults.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ObjectiveSettings {
     /// Which losses.
     pub kind: ObjectiveKind,
-    /// Numbers of `kind = "heights"`.
+    /// Defaults of `kind = "paper"`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub heights: Option<HeightsSettings>,
-    /// Numbers of `kind = "paper"`.
+    pub form: Option<PaperForm>,
+    /// Changes to [`HeightSettings`].
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub paper: Option<PaperSettings>,
+    pub heights: Option<toml::Table>,
+    /// Changes to [`PaperSettings`].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub paper: Option<toml::Table>,
 }
 
-/// Numbers of direct supervision.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct HeightsSettings {
-    /// Highest learning rate of AdamW; it falls to zero along a cosine.
-    pub learning_rate: f64,
-    /// Steps in which the learning rate rises.
-    pub warm_up: u64,
-    /// AdamW's weight decay.
-    pub weight_decay: f64,
-    /// Points along a ray.
-    pub samples: usize,
-    /// Weight of the rendered height, logarithmic and metric.
-    pub height: f64,
-    /// Weight of the plane's own height channel, on all texels.
-    pub plane: f64,
-    /// Weight of the four classes' cross-entropy.
-    pub classes: f64,
-    /// Weight of the density that grows upwards.
-    pub gravity: f64,
-    /// Weight of opacity: matter below the surface, none above.
-    pub occupancy: f64,
-    /// Decay of the moving average of the weights.
-    pub average: f64,
+/// The numbers of an objective, whole.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Objective {
+    /// Direct supervision.
+    Heights(HeightSettings),
+    /// The paper's signals.
+    Paper(Box<PaperSettings>),
 }
 
-impl Default for HeightsSettings {
-    fn default() -> Self {
-        Self {
-            learning_rate: 1e-3,
-            warm_up: 200,
-            weight_decay: 0.01,
-            samples: 24,
-            height: 1.0,
-            plane: 0.5,
-            classes: 0.1,
-            gravity: 0.1,
-            occupancy: 0.1,
-            average: 0.999,
+/// One term of an objective.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ObjectiveTerm {
+    /// Its key in the settings.
+    pub name: String,
+    /// Its weight; 0 is off.
+    pub weight: f64,
+    /// Why it cannot be learnt from the data, if it cannot.
+    pub lacks: Option<&'static str>,
+}
+
+/// What the settings of the run decide, and the tables of an objective do not.
+const OF_THE_RUN: [(&str, &str); 2] = [("steps", "run.steps"), ("seed", "run.seed")];
+
+impl Objective {
+    /// Terms with their weights, as the settings name them. `street` and `depth` say what the data hold.
+    #[must_use]
+    pub fn terms(&self, street: bool, depth: bool) -> Vec<ObjectiveTerm> {
+        let term =
+            |name: &str, weight: f64, lacks| ObjectiveTerm { name: name.to_owned(), weight, lacks };
+        match self {
+            Self::Heights(heights) => [
+                ("logarithm", heights.logarithm),
+                ("metric", heights.metric),
+                ("classes", heights.classes),
+                ("slope", heights.slope),
+                ("colour", heights.colour),
+            ]
+            .map(|(name, weight)| term(name, weight, None))
+            .into(),
+            Self::Paper(paper) => {
+                let of_street = (!street).then_some("the data have no panoramas");
+                let of_depth = (!depth).then_some("the data have no depth labels");
+                let weights = &paper.weights;
+                let game = &weights.adversarial;
+                let view = |view: &crate::model::train::Photometric| {
+                    if view.is_off() { 0.0 } else { view.weight }
+                };
+                vec![
+                    term("weights.satellite", view(&weights.satellite), None),
+                    term("weights.panorama", view(&weights.panorama), of_street),
+                    term("weights.perspective", view(&weights.perspective), of_street),
+                    term("weights.raw_view", view(&weights.raw_view), of_street),
+                    term("weights.opacity", weights.opacity, of_street),
+                    term("weights.ortho_opacity", weights.ortho_opacity, None),
+                    term("weights.sky_colour", weights.sky_colour, of_street),
+                    term("weights.mean_sky_colour", weights.mean_sky_colour, of_street),
+                    term("weights.adversarial.satellite", game.satellite, None),
+                    term("weights.adversarial.panorama", game.panorama, of_street),
+                    term("weights.adversarial.perspective", game.perspective, of_street),
+                    term("weights.depth", weights.depth, of_depth),
+                    term("weights.gravity", weights.gravity, None),
+                    term("weights.gradient_penalty", weights.gradient_penalty, None),
+                ]
+            }
+        }
+    }
+
+    /// The optimiser in a few words.
+    #[must_use]
+    pub fn optimiser(&self) -> String {
+        match self {
+            Self::Heights(heights) => format!(
+                "AdamW, learning rate {} falling as a cosine",
+                heights.optimiser.learning_rate
+            ),
+            Self::Paper(paper) => {
+                format!("AdamW, learning rate {}", paper.generator.learning_rate)
+            }
         }
     }
 }
 
-/// Numbers of the paper's objective, with the release's as defaults (MODEL_SPEC section 11).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct PaperSettings {
-    /// Learning rate of AdamW, for the network and the discriminators.
-    pub learning_rate: f64,
-    /// AdamW's weight decay.
-    pub weight_decay: f64,
-    /// Safetensors file with the weights of LPIPS; without it a substitute is used and named.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub lpips: Option<PathBuf>,
-    /// Weight of the satellite view.
-    pub satellite: f64,
-    /// Weight of the panorama.
-    pub panorama: f64,
-    /// Weight of the perspective view.
-    pub perspective: f64,
-    /// Weight of the sky's opacity.
-    pub opacity: f64,
-    /// Weight of the sky's colour.
-    pub sky: f64,
-    /// Weight of the sky's mean colour.
-    pub sky_mean: f64,
-    /// Weight of the discriminators.
-    pub adversarial: f64,
-    /// Weight of the relative depth.
-    pub depth: f64,
-    /// Weight of the density that grows upwards.
-    pub gravity: f64,
-}
-
-impl Default for PaperSettings {
-    fn default() -> Self {
-        Self {
-            learning_rate: 1e-4,
-            weight_decay: 0.01,
-            lpips: None,
-            satellite: 2.0,
-            panorama: 3.0,
-            perspective: 1.5,
-            opacity: 30.0,
-            sky: 1.0,
-            sky_mean: 0.1,
-            adversarial: 0.2,
-            depth: 0.1,
-            gravity: 3.5,
+impl Settings {
+    /// The numbers of the objective: the defaults, what the file changes, the steps and the seed of the run.
+    ///
+    /// # Errors
+    /// [`TrainingError::Setting`] for a key or a value that is not served.
+    pub fn objective(&self) -> Result<Objective, TrainingError> {
+        let objective = &self.objective;
+        let name = objective.kind.name();
+        let empty = toml::Table::new();
+        let wrong = |fault: Fault| {
+            let dot = if fault.key.is_empty() { "" } else { "." };
+            self.wrong(&format!("objective.{name}{dot}{}", fault.key), fault.value, fault.why)
+        };
+        let own = |table: &toml::Table| {
+            let taken = OF_THE_RUN.into_iter().find(|(key, _)| table.contains_key(*key));
+            taken.map_or(Ok(()), |(key, instead)| {
+                let value = serde_json::to_value(&table[key]).unwrap_or(Value::Null);
+                Err(self.wrong(
+                    &format!("objective.{name}.{key}"),
+                    value,
+                    format!("is `{instead}`"),
+                ))
+            })
+        };
+        match objective.kind {
+            ObjectiveKind::Heights => {
+                let table = objective.heights.as_ref().unwrap_or(&empty);
+                own(table)?;
+                let base = HeightSettings { steps: self.run.steps, ..HeightSettings::default() };
+                Ok(Objective::Heights(overlay(&base, table).map_err(wrong)?))
+            }
+            ObjectiveKind::Paper => {
+                let table = objective.paper.as_ref().unwrap_or(&empty);
+                own(table)?;
+                let base = match objective.form.unwrap_or_default() {
+                    PaperForm::Release => PaperSettings::release(),
+                    PaperForm::Paper => PaperSettings::paper(),
+                };
+                let base = PaperSettings { seed: self.run.seed, ..base };
+                Ok(Objective::Paper(Box::new(overlay(&base, table).map_err(wrong)?)))
+            }
         }
     }
-}
 
-impl HeightsSettings {
-    /// Terms with their weights.
-    #[must_use]
-    pub fn terms(&self) -> Vec<(&'static str, f64)> {
-        vec![
-            ("height", self.height),
-            ("plane", self.plane),
-            ("classes", self.classes),
-            ("gravity", self.gravity),
-            ("occupancy", self.occupancy),
-        ]
-    }
-}
-
-impl PaperSettings {
-    /// Terms with their weights.
-    #[must_use]
-    pub fn terms(&self) -> Vec<(&'static str, f64)> {
-        vec![
-            ("satellite", self.satellite),
-            ("panorama", self.panorama),
-            ("perspective", self.perspective),
-            ("opacity", self.opacity),
-            ("sky", self.sky),
-            ("sky_mean", self.sky_mean),
-            ("adversarial", self.adversarial),
-            ("depth", self.depth),
-            ("gravity", self.gravity),
-        ]
+    /// Terms of the objective, with what the data hold for them.
+    ///
+    /// # Errors
+    /// As [`Settings::objective`].
+    pub fn terms(&self) -> Result<Vec<ObjectiveTerm>, TrainingError> {
+        let (street, depth) = match (self.data.source, &self.data.vigor) {
+            (DataSource::Vigor, Some(vigor)) => (vigor.street, !vigor.depth.is_empty()),
+            // Relative depth follows from the true heights.
+            _ => (false, true),
+        };
+        Ok(self.objective()?.terms(street, depth))
     }
 }
 
 impl ObjectiveSettings {
-    /// The numbers of direct supervision.
-    #[must_use]
-    pub fn heights(&self) -> HeightsSettings {
-        self.heights.clone().unwrap_or_default()
-    }
-
-    /// The numbers of the paper's objective.
-    #[must_use]
-    pub fn paper(&self) -> PaperSettings {
-        self.paper.clone().unwrap_or_default()
-    }
-
-    /// Terms of the objective with their weights.
-    #[must_use]
-    pub fn terms(&self) -> Vec<(&'static str, f64)> {
-        match self.kind {
-            ObjectiveKind::Heights => self.heights().terms(),
-            ObjectiveKind::Paper => self.paper().terms(),
-        }
-    }
-
-    pub(super) fn paths(&mut self) -> impl Iterator<Item = &mut PathBuf> {
-        self.paper.iter_mut().filter_map(|paper| paper.lpips.as_mut())
-    }
-
-    /// Why a term cannot be learnt from these data, if it cannot.
-    #[must_use]
-    pub fn lacks(&self, term: &str, settings: &Settings) -> Option<&'static str> {
-        let street = match (settings.data.source, &settings.data.vigor) {
-            (DataSource::Vigor, Some(vigor)) => vigor.street,
-            _ => false,
-        };
-        let depth = match (settings.data.source, &settings.data.vigor) {
-            (DataSource::Vigor, Some(vigor)) => !vigor.depth.is_empty(),
-            _ => true,
-        };
-        match (self.kind, term) {
-            (ObjectiveKind::Paper, "panorama" | "perspective" | "opacity" | "sky" | "sky_mean")
-                if !street =>
-            {
-                Some("the data have no panoramas")
-            }
-            (ObjectiveKind::Paper, "depth") if !depth => Some("the data have no depth labels"),
-            _ => None,
-        }
-    }
-
     pub(super) fn check(&self, settings: &Settings) -> Result<(), TrainingError> {
         let other = match self.kind {
             ObjectiveKind::Heights => self.paper.as_ref().map(|_| "paper"),
             ObjectiveKind::Paper => self.heights.as_ref().map(|_| "heights"),
         };
         if let Some(other) = other {
-            return Err(settings.wrong(
-                "objective.kind",
-                self.kind,
-                format!("there is a table [objective.{other}]; give kind = \"{other}\", or take the table out"),
-            ));
+            let why = format!(
+                "there is a table [objective.{other}]; give kind = \"{other}\", or take the table out"
+            );
+            return Err(settings.wrong("objective.kind", self.kind, why));
         }
-        let name = match self.kind {
-            ObjectiveKind::Heights => "heights",
-            ObjectiveKind::Paper => "paper",
-        };
-        let at = |key: &str| format!("objective.{name}.{key}");
-        for (term, weight) in self.terms() {
-            if !(weight.is_finite() && weight >= 0.0) {
+        if let (ObjectiveKind::Heights, Some(form)) = (self.kind, self.form) {
+            let why = "belongs to kind = \"paper\"";
+            return Err(settings.wrong("objective.form", form, why));
+        }
+        let terms = settings.terms()?;
+        for term in &terms {
+            if !(term.weight.is_finite() && term.weight >= 0.0) {
+                let key = format!("objective.{}.{}", self.kind.name(), term.name);
                 let why = "a weight is a number from 0, which switches the term off";
-                return Err(settings.wrong(&at(term), weight, why));
+                return Err(settings.wrong(&key, term.weight, why));
             }
         }
-        if self.terms().iter().all(|(_, weight)| *weight == 0.0) {
-            return Err(settings.wrong("objective.kind", self.kind, "every term has the weight 0"));
-        }
-        let (rate, decay) = match self.kind {
-            ObjectiveKind::Heights => (self.heights().learning_rate, self.heights().weight_decay),
-            ObjectiveKind::Paper => (self.paper().learning_rate, self.paper().weight_decay),
-        };
-        if !(rate > 0.0 && rate < 1.0) {
-            return Err(settings.wrong(&at("learning_rate"), rate, "between 0 and 1"));
-        }
-        if !(0.0..1.0).contains(&decay) {
-            return Err(settings.wrong(&at("weight_decay"), decay, "from 0 to below 1"));
-        }
-        if self.kind == ObjectiveKind::Heights {
-            let heights = self.heights();
-            if !(2..=1024).contains(&heights.samples) {
-                return Err(settings.wrong(&at("samples"), heights.samples, "from 2 to 1024"));
-            }
-            if !(0.0..1.0).contains(&heights.average) {
-                return Err(settings.wrong(&at("average"), heights.average, "from 0 to below 1"));
-            }
-        }
-        if let Some(lpips) = self.paper().lpips
-            && !lpips.is_file()
-        {
-            return Err(settings.wrong(&at("lpips"), lpips, "is no file"));
+        if terms.iter().all(|term| term.weight == 0.0 || term.lacks.is_some()) {
+            let why = "no term has a weight and data to learn it from";
+            return Err(settings.wrong("objective.kind", self.kind, why));
         }
         Ok(())
     }
