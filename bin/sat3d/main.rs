@@ -11,6 +11,7 @@ mod model;
 mod run;
 mod simulate;
 mod tile;
+mod train;
 mod view;
 mod view_args;
 mod vigor;
@@ -42,6 +43,7 @@ pub(crate) enum Command {
     Model(model::Args),
     Infer(Box<infer::Args>),
     Tile(Box<tile::Args>),
+    Train(train::Args),
     Run(run::Args),
     Simulate(simulate::Args),
     View(view::Args),
@@ -61,6 +63,7 @@ pub(crate) fn dispatch(command: &Command) -> anyhow::Result<ExitCode> {
         Command::Model(args) => model::run(args),
         Command::Infer(args) => infer::run(args),
         Command::Tile(args) => tile::run(args),
+        Command::Train(args) => train::run(args),
         Command::Run(args) => run::run(args),
         Command::Simulate(args) => simulate::run(args),
         Command::View(args) => view::run(args),

@@ -88,7 +88,7 @@ pub(super) fn folder_of(target: &Path) -> &Path {
 
 /// The process's file mode mask, read once (reading it any other way means changing it).
 #[cfg(unix)]
-fn umask() -> u32 {
+pub(super) fn umask() -> u32 {
     static MASK: std::sync::OnceLock<u32> = std::sync::OnceLock::new();
     *MASK.get_or_init(|| {
         std::fs::read_to_string("/proc/self/status")

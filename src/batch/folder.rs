@@ -1,5 +1,7 @@
 //! Folders that appear whole or not at all.
 
+#[cfg(unix)]
+use super::atomic::umask;
 use super::atomic::{folder_of, sync_folder};
 use std::fs::File;
 use std::io::{self, Write};
@@ -43,6 +45,42 @@ impl AtomicFolder {
             let at = self.target.join(name);
             io::Error::new(error.kind(), format!("{}: {error}", at.display()))
         })
+    }
+
+    /// Has a file of the folder written by its path, and the folders above it made; then makes it durable.
+    ///
+    /// # Errors
+    /// What `write` returns; any error of making folders or syncing, with the file's place in its message.
+    pub fn file(
+        &self,
+        name: &str,
+        write: impl FnOnce(&Path) -> io::Result<()>,
+    ) -> io::Result<()> {
+        let path = self.temporary.path().join(name);
+        let all = || {
+            if let Some(folder) = path.parent() {
+                std::fs::create_dir_all(folder)?;
+            }
+            write(&path)?;
+            let file = File::open(&path)?;
+            // Libraries that write through a temporary file leave it private.
+            #[cfg(unix)]
+            {
+                use std::os::unix::fs::PermissionsExt;
+                file.set_permissions(std::fs::Permissions::from_mode(0o666 & !umask()))?;
+            }
+            file.sync_all()
+        };
+        all().map_err(|error| {
+            let at = self.target.join(name);
+            io::Error::new(error.kind(), format!("{}: {error}", at.display()))
+        })
+    }
+
+    /// Where the folder grows.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        self.temporary.path()
     }
 
     /// Puts the folder in its place; an older one there is removed.

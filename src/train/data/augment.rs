@@ -1,0 +1,157 @@
+//! Crops, symmetries of the square, and colour changes.
+
+use crate::random::Draw;
+
+/// One of the eight symmetries of the square: where each target pixel comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Symmetry(u8);
+
+impl Symmetry {
+    /// All of them; the first leaves everything where it is.
+    #[cfg(test)]
+    pub(super) const ALL: [Self; 8] =
+        [Self(0), Self(1), Self(2), Self(3), Self(4), Self(5), Self(6), Self(7)];
+    /// The identity.
+    pub(super) const NONE: Self = Self(0);
+
+    /// Any of the eight.
+    pub(super) fn draw(draw: &mut Draw) -> Self {
+        Self(draw.index(8) as u8)
+    }
+
+    /// The source column and row of a target pixel, in a square of `side` pixels.
+    pub(super) const fn source(self, x: usize, y: usize, side: usize) -> (usize, usize) {
+        let last = side - 1;
+        let (x, y) = if self.0 & 1 > 0 { (last - x, y) } else { (x, y) };
+        let (x, y) = if self.0 & 2 > 0 { (x, last - y) } else { (x, y) };
+        if self.0 & 4 > 0 { (y, x) } else { (x, y) }
+    }
+}
+
+/// A square window in a larger square, and how it is turned.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Crop {
+    /// First column in the larger square.
+    pub(super) x: usize,
+    /// First row.
+    pub(super) y: usize,
+    /// Side, pixels.
+    pub(super) side: usize,
+    /// Side of the larger square.
+    pub(super) whole: usize,
+    /// How the window is turned.
+    pub(super) symmetry: Symmetry,
+}
+
+impl Crop {
+    /// In the middle, not turned.
+    pub(super) const fn centre(whole: usize, side: usize) -> Self {
+        let margin = (whole - side) / 2;
+        Self { x: margin, y: margin, side, whole, symmetry: Symmetry::NONE }
+    }
+
+    /// Anywhere.
+    pub(super) fn draw(whole: usize, side: usize, symmetries: bool, draw: &mut Draw) -> Self {
+        let room = whole - side + 1;
+        let (x, y) = (draw.index(room), draw.index(room));
+        let symmetry = Symmetry::draw(draw);
+        Self { x, y, side, whole, symmetry: if symmetries { symmetry } else { Symmetry::NONE } }
+    }
+
+    /// The pixels of the window in the order of the target's rows, as indices into the larger square.
+    pub(super) fn indices(self) -> impl Iterator<Item = usize> {
+        (0..self.side).flat_map(move |y| {
+            (0..self.side).map(move |x| {
+                let (from_x, from_y) = self.symmetry.source(x, y, self.side);
+                (self.y + from_y) * self.whole + self.x + from_x
+            })
+        })
+    }
+}
+
+/// A change of colours: one table of 256 values for each of red, green and blue.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Colours(Box<[[u8; 256]; 3]>);
+
+impl Colours {
+    /// A mild change: brightness, contrast and gamma of the whole, a gain for each channel, each by about
+    /// `strength`. `strength` 0 changes nothing.
+    pub(super) fn draw(strength: f64, draw: &mut Draw) -> Self {
+        let mut range = |share: f64| draw.range(-strength * share, strength * share);
+        let (brightness, contrast, gamma) = (0.5 * range(1.0), range(1.5), range(1.5));
+        let gains = [range(0.5), range(0.5), range(0.5)];
+        let table = |gain: f64| {
+            std::array::from_fn(|value| {
+                let unit = libm::pow(value as f64 / 255.0, libm::exp(gamma));
+                let changed = (unit * (1.0 + gain) - 0.5) * (1.0 + contrast) + 0.5 + brightness;
+                // The cast saturates at both ends.
+                (changed * 255.0 + 0.5) as u8
+            })
+        };
+        Self(Box::new(gains.map(table)))
+    }
+
+    /// One pixel.
+    pub(super) fn of(&self, rgb: [u8; 3]) -> [u8; 3] {
+        std::array::from_fn(|channel| self.0[channel][usize::from(rgb[channel])])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_eight_symmetries_are_all_different_and_keep_every_pixel() {
+        let side = 3;
+        let images: Vec<Vec<usize>> = Symmetry::ALL
+            .map(|symmetry| Crop { symmetry, ..Crop::centre(side, side) }.indices().collect())
+            .into();
+        for (i, image) in images.iter().enumerate() {
+            let mut sorted = image.clone();
+            sorted.sort_unstable();
+            assert_eq!(sorted, (0..9).collect::<Vec<_>>());
+            assert!(images[..i].iter().all(|other| other != image), "{i}");
+        }
+        assert_eq!(images[0], (0..9).collect::<Vec<_>>());
+        // Mirrored left to right.
+        assert_eq!(images[1], [2, 1, 0, 5, 4, 3, 8, 7, 6]);
+    }
+
+    #[test]
+    fn crops_lie_inside_and_reach_both_ends() {
+        let mut draw = Draw::new(&[1]);
+        let (mut first, mut last) = (false, false);
+        for _ in 0..500 {
+            let crop = Crop::draw(20, 16, true, &mut draw);
+            assert!(crop.x <= 4 && crop.y <= 4);
+            first |= crop.x == 0;
+            last |= crop.x == 4;
+            assert!(crop.indices().all(|index| index < 400));
+        }
+        assert!(first && last);
+        let centre = Crop::centre(20, 16);
+        assert_eq!(centre.indices().next(), Some(2 * 20 + 2));
+    }
+
+    #[test]
+    fn colours_change_mildly_and_no_strength_changes_nothing() {
+        let same = Colours::draw(0.0, &mut Draw::new(&[3]));
+        for value in [0_u8, 1, 77, 128, 254, 255] {
+            assert_eq!(same.of([value; 3]), [value; 3]);
+        }
+        let mut moved = 0;
+        for seed in 0..50 {
+            let colours = Colours::draw(0.1, &mut Draw::new(&[seed]));
+            let [r, g, b] = colours.of([128; 3]);
+            moved += usize::from([r, g, b] != [128; 3]);
+            for value in [r, g, b] {
+                assert!(value.abs_diff(128) < 40, "{value}");
+            }
+            // Darker stays darker.
+            let ramp: Vec<u8> = (0..=255).map(|value| colours.of([value; 3])[0]).collect();
+            assert!(ramp.is_sorted());
+        }
+        assert!(moved > 45, "{moved}");
+    }
+}

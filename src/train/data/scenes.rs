@@ -1,0 +1,182 @@
+//! Simulated scenes as the training keeps them: in memory, and in a cache folder.
+
+use crate::batch::write_atomic;
+use crate::scene::random::{RandomScenes, Sample};
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use std::path::{Path, PathBuf};
+
+/// A square scene.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Rendered {
+    /// Pixels across and down.
+    pub(super) side: usize,
+    /// The satellite image, three bytes a pixel.
+    pub(super) rgb: Vec<u8>,
+    /// Height of the surface, metres.
+    pub(super) surface: Vec<f32>,
+    /// Height of the bare earth under it, metres.
+    pub(super) ground: Vec<f32>,
+    /// What the surface is, by the numbers of [`crate::model::train::Class`].
+    pub(super) classes: Vec<u8>,
+}
+
+/// Which scenes: everything that their pixels depend on beside the index.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Series {
+    /// Seed of the scenes.
+    pub(super) seed: u64,
+    /// Side, pixels.
+    pub(super) side: usize,
+    /// Ground size of a pixel, metres.
+    pub(super) pixel_m: f64,
+}
+
+/// Makes scene `index` of a series, or says why it cannot be made.
+pub(super) type Make = dyn Fn(&Series, u64) -> Result<Rendered, String> + Send + Sync;
+
+/// Makes it of random cities.
+pub(super) fn random_city(series: &Series, index: u64) -> Result<Rendered, String> {
+    let metres = series.side as f64 * series.pixel_m;
+    let scenes = RandomScenes { seed: series.seed };
+    let sample = scenes.sample(index, series.side, metres).map_err(|error| error.to_string())?;
+    let Sample { side, rgb, surface, ground, classes, .. } = sample;
+    Ok(Rendered { side, rgb, surface, ground, classes })
+}
+
+impl Rendered {
+    /// Bytes in memory.
+    pub(super) const fn bytes(side: usize) -> usize {
+        side * side * (3 + 4 + 4 + 1)
+    }
+
+    /// What a cache file holds.
+    fn encode(&self) -> Option<Vec<u8>> {
+        let (surface, ground) = (bytes_of(&self.surface), bytes_of(&self.ground));
+        let shape = vec![self.side, self.side];
+        let view = |dtype, shape: &[usize], data| TensorView::new(dtype, shape.to_vec(), data).ok();
+        let tensors = [
+            ("classes", view(Dtype::U8, &shape, &self.classes)?),
+            ("ground", view(Dtype::F32, &shape, &ground)?),
+            ("rgb", view(Dtype::U8, &[self.side, self.side, 3], &self.rgb)?),
+            ("surface", view(Dtype::F32, &shape, &surface)?),
+        ];
+        safetensors::serialize(tensors, None).ok()
+    }
+
+    /// The scene of a cache file; `None` where it is none, or one of another size.
+    fn decode(bytes: &[u8], side: usize) -> Option<Self> {
+        let file = SafeTensors::deserialize(bytes).ok()?;
+        let data = |name: &str, dtype, size: usize| {
+            let tensor = file.tensor(name).ok()?;
+            (tensor.dtype() == dtype && tensor.data().len() == size).then(|| tensor.data().to_vec())
+        };
+        let area = side * side;
+        Some(Self {
+            side,
+            rgb: data("rgb", Dtype::U8, 3 * area)?,
+            surface: floats_of(&data("surface", Dtype::F32, 4 * area)?),
+            ground: floats_of(&data("ground", Dtype::F32, 4 * area)?),
+            classes: data("classes", Dtype::U8, area)?,
+        })
+    }
+}
+
+fn bytes_of(values: &[f32]) -> Vec<u8> {
+    values.iter().flat_map(|value| value.to_le_bytes()).collect()
+}
+
+fn floats_of(bytes: &[u8]) -> Vec<f32> {
+    bytes.as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()
+}
+
+/// Scenes of one series, from the cache folder where they are there.
+pub(super) struct Scenes {
+    series: Series,
+    make: Box<Make>,
+    cache: Option<PathBuf>,
+}
+
+impl Scenes {
+    /// Scenes that `make` makes, kept in `cache` if there is one.
+    pub(super) fn new(series: Series, make: Box<Make>, cache: Option<&Path>) -> Self {
+        // A folder for each series: scenes of another program are not these.
+        let cache = cache.map(|folder| {
+            let Series { seed, side, pixel_m } = series;
+            let version = env!("CARGO_PKG_VERSION");
+            folder.join(format!("scenes-{version}-seed{seed}-{side}px-{pixel_m}m"))
+        });
+        let cache = cache.filter(|folder| match std::fs::create_dir_all(folder) {
+            Ok(()) => true,
+            Err(error) => {
+                tracing::warn!("{}: no cache: {error}", folder.display());
+                false
+            }
+        });
+        Self { series, make, cache }
+    }
+
+    /// Scene `index`, read or made.
+    pub(super) fn get(&self, index: u64) -> Result<Rendered, String> {
+        let Some(folder) = &self.cache else { return (self.make)(&self.series, index) };
+        let path = folder.join(format!("{index}.safetensors"));
+        let known = std::fs::read(&path).ok();
+        if let Some(scene) = known.and_then(|bytes| Rendered::decode(&bytes, self.series.side)) {
+            return Ok(scene);
+        }
+        let scene = (self.make)(&self.series, index)?;
+        let written = scene.encode().map_or(Ok(()), |bytes| write_atomic(&path, &bytes));
+        if let Err(error) = written {
+            tracing::warn!("{}: not kept: {error}", path.display());
+        }
+        Ok(scene)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    const SERIES: Series = Series { seed: 3, side: 20, pixel_m: 0.25 };
+
+    fn grey(series: &Series, index: u64) -> Rendered {
+        let (side, area) = (series.side, series.side * series.side);
+        Rendered {
+            side,
+            rgb: vec![index as u8; 3 * area],
+            surface: (0..area).map(|i| i as f32 * 0.1).collect(),
+            ground: vec![-0.5; area],
+            classes: vec![2; area],
+        }
+    }
+
+    fn counting(cache: &Path) -> (Scenes, Arc<AtomicUsize>) {
+        let count = Arc::new(AtomicUsize::new(0));
+        let counter = Arc::clone(&count);
+        let make = move |series: &Series, index: u64| {
+            counter.fetch_add(1, Ordering::Relaxed);
+            Ok(grey(series, index))
+        };
+        (Scenes::new(SERIES, Box::new(make), Some(cache)), count)
+    }
+
+    #[test]
+    fn a_cached_scene_is_the_same_and_a_damaged_one_is_made_again() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (scenes, made) = counting(folder.path());
+        let first = scenes.get(5);
+        assert_eq!(first, Ok(grey(&SERIES, 5)));
+        assert_eq!(scenes.get(5), first);
+        let (scenes, again) = counting(folder.path());
+        assert_eq!(scenes.get(5), first);
+        assert_eq!((made.load(Ordering::Relaxed), again.load(Ordering::Relaxed)), (1, 0));
+        let series = std::fs::read_dir(folder.path()).expect("lists").next().expect("one");
+        let file = series.expect("a folder").path().join("5.safetensors");
+        let bytes = std::fs::read(&file).expect("reads");
+        std::fs::write(&file, &bytes[..bytes.len() / 2]).expect("writes");
+        assert_eq!(scenes.get(5), first);
+        assert_eq!(again.load(Ordering::Relaxed), 1);
+        assert_eq!(std::fs::read(&file).expect("reads"), bytes);
+    }
+}
