@@ -91,7 +91,7 @@ impl Substitute {
                 if height.min(width) / 2 < self.window {
                     break;
                 }
-                pair = pair.map(|picture| halved(picture));
+                pair = pair.map(halved);
             }
             let [a, b] = pair.clone();
             let part = self.structure(a.clone(), b.clone()) * (0.5 * self.structure)
