@@ -14,6 +14,7 @@ mod heights;
 mod learner;
 pub mod losses;
 pub mod mini;
+pub mod normalisation;
 pub mod optimiser;
 mod paper;
 mod parameters;
