@@ -136,10 +136,30 @@ impl PaperLearner<MiniMap> {
     ) -> Result<Self, TrainError> {
         let config = mini.config(0)?;
         let device = device.open()?.autodiff();
-        let source = Named::new(mini::fresh(&config, settings.seed));
+        let mut start = mini::fresh(&config, settings.seed);
+        soften(&mut start, config.point_features());
+        let source = Named::new(start);
         let generator = Generator::mini(&config, &source, &device)?;
         let shape = Shape::of(&config);
         Self::with_generator(generator, shape, mini.json(0), &device, settings, perceptual)
+    }
+}
+
+/// Spreads the surface that the small network starts with over about the distance of two samples: rays
+/// see where a sharp one lies no better than to a sample, and nothing of how to move it.
+fn soften(start: &mut [NamedTensor], inputs: usize) {
+    /// Of the surface's hidden unit in z.
+    const SHARPNESS: f32 = 0.1;
+    /// Of that unit in the density: opaque half a sample below the surface.
+    const OPAQUENESS: f32 = 0.35;
+    for tensor in start {
+        let (count, factor) = match tensor.name.as_str() {
+            "mlp.net0.weight" => (inputs, SHARPNESS),
+            "mlp.net0.bias" => (1, SHARPNESS),
+            "mlp.net1_density.weight" => (1, OPAQUENESS),
+            _ => continue,
+        };
+        tensor.values[..count].iter_mut().for_each(|value| *value *= factor);
     }
 }
 

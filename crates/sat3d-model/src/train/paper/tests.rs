@@ -391,6 +391,27 @@ fn the_small_network_learns_likewise() {
     let mut resumed = new();
     resumed.restore(&half).expect("a state of this model");
     assert!(run(&mut resumed, 2..4) == end, "a resumed run is another one");
+    // The depth label reaches the plane through the soft surface.
+    let mut pulled = settings();
+    pulled.weights.adversarial = AdversarialWeights::all(0.0);
+    for term in [&mut pulled.weights.satellite, &mut pulled.weights.panorama] {
+        term.weight = 0.0;
+    }
+    (pulled.weights.perspective.weight, pulled.weights.opacity) = (0.0, 0.0);
+    (pulled.weights.ortho_opacity, pulled.weights.gravity) = (0.0, 0.0);
+    (pulled.weights.sky_colour, pulled.weights.mean_sky_colour) = (0.0, 0.0);
+    pulled.generator.learning_rate = 3e-3;
+    (pulled.generator.beta1, pulled.generator.beta2) = (0.9, 0.999);
+    let mut learner = PaperLearner::mini(&sizes, Device::Cpu, pulled, None).expect("a learner");
+    let mut totals = Vec::new();
+    for step in 0..24 {
+        let outcome = learner.step(step, &[example(1)]).expect("a step");
+        assert_eq!(names(&outcome), ["total", "depth"]);
+        let Outcome::Stepped(terms) = outcome else { panic!("skipped") };
+        totals.push(terms[0].value);
+    }
+    let mean = |part: &[f32]| part.iter().sum::<f32>() / part.len() as f32;
+    assert!(mean(&totals[18..]) < 0.95 * mean(&totals[..6]), "{totals:?}");
     let Exported { config, average, .. } = whole.export().expect("a model");
     let config = Config::from_json(&config).expect("a config");
     let model = Model::from_source(config, Box::new(Named::new(average)), &Device::Cpu);
