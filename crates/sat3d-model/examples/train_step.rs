@@ -107,7 +107,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (folder, steps) = (Path::new(folder), steps.parse::<u64>()?);
     let batch = [example(folder, 0)?, example(folder, 1)?];
     let source = RuleWeights::new(&Config::from_json(CONFIG)?, tiny_overrides());
-    let mut learner = PaperLearner::new(CONFIG, &source, Device::Cpu, settings(), None)?;
+    let mut learner = PaperLearner::new(CONFIG, &source, Device::Cpu, settings())?;
 
     let mut start = learner.state()?;
     start.retain(|tensor| {
