@@ -67,7 +67,7 @@ fn reference(
             .map_err(|source| ModelError::Io { path: path.clone(), source })?,
         None => RELEASED.to_owned(),
     };
-    Ok(Box::new(PaperLearner::new(&config, &source, device, paper, None)?))
+    Ok(Box::new(PaperLearner::new(&config, &source, device, paper)?))
 }
 
 /// Parameters of the network, where they can be told without making it.
