@@ -9,7 +9,7 @@
 //! * [`SceneSpec`]: what a scene file says ([`spec`]), checked (`validate`).
 //! * [`effects`]: the plan; each effect has a bound, a cost and a cause.
 //! * [`terrain`], [`streets`], [`layout`], [`solid`], [`world`], `epoch`: the scene itself.
-//! * `render`, `camera`, `ground`, `materials`, `shadows`: pictures.
+//! * `render`, `camera`, `ground`, `materials`, `shadows`: pictures; [`street`]: those from a street.
 //! * [`random`]: scenes drawn at random, to learn from.
 //! * [`lidar`], [`truth`], [`vigor_files`], [`whole`], [`simulate()`]: what is written.
 
@@ -34,6 +34,7 @@ pub mod shape;
 mod simulate;
 pub mod solid;
 pub mod spec;
+pub mod street;
 pub mod streets;
 pub mod surface;
 pub mod terrain;

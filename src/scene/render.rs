@@ -3,6 +3,7 @@
 //! One sample at each pixel centre; pixels at a drawn or cast edge get three more (antialiasing
 //! costs only where it shows).
 
+use super::camera::Camera;
 use super::effects::Effect;
 use super::ground::{Paint, scale};
 use super::layout::SHORE_STRIP_M;
@@ -11,23 +12,24 @@ use super::object::{Class, Colour, Epoch};
 use super::pixels::PixelPositions;
 use super::solid::Face;
 use super::surface::Scene;
+use super::terrain::Ground;
 use super::world::Seen;
 use crate::random::{key, normal};
 use rayon::prelude::*;
 
 /// One look at the scene.
 #[derive(Clone, Copy, Debug)]
-struct Sample {
-    colour: Colour,
+pub(super) struct Sight {
+    pub colour: Colour,
     /// Differs where neighbouring pixels see different things.
-    key: u64,
+    pub key: u64,
 }
 
 /// Light on a scene: what the sky gives, what the sun gives (linear colours).
 #[derive(Clone, Copy, Debug)]
-struct Light {
-    sky: Colour,
-    sun: Colour,
+pub(super) struct Light {
+    pub sky: Colour,
+    pub sun: Colour,
 }
 
 /// How a part of a picture is rendered.
@@ -62,7 +64,7 @@ impl Scene {
         let [width, height] = pixels.size().map(|n| n - 2 * margin);
         let [across, down] = [width, height].map(|n| n + 2 * halo);
         let light = self.light();
-        let samples: Vec<Sample> = (0..down)
+        let samples: Vec<Sight> = (0..down)
             .into_par_iter()
             .flat_map_iter(|row| {
                 let positions = &pixels.row(row + margin - halo)[margin - halo..][..across];
@@ -117,7 +119,7 @@ impl Scene {
     }
 
     /// Exposure is set so that level sunlit ground shows its own colour.
-    fn light(&self) -> Light {
+    pub(super) fn light(&self) -> Light {
         let Some(sun) = self.sun.filter(|_| self.spec.sun.is_some()) else {
             return Light { sky: [1.0, 1.02, 1.06], sun: [0.0; 3] };
         };
@@ -132,7 +134,7 @@ impl Scene {
 
     /// What is seen at a position of the image: the ground point that lies there, or what stands
     /// in the way.
-    fn look(&self, p: [f64; 2]) -> (Seen, super::terrain::Ground) {
+    fn look(&self, p: [f64; 2]) -> (Seen, Ground) {
         let ground = self.terrain.at(p[0], p[1]);
         let world = self.world(Epoch::Image);
         let on_ground = Seen { solid: None, face: Face::Top(0), at: [p[0], p[1], ground.z] };
@@ -152,8 +154,19 @@ impl Scene {
         }
     }
 
-    fn sample(&self, light: &Light, p: [f64; 2]) -> Sample {
+    fn sample(&self, light: &Light, p: [f64; 2]) -> Sight {
         let (seen, ground) = self.look(p);
+        self.sight(light, &self.camera, &seen, &ground)
+    }
+
+    /// Colour of what is seen, with the ground below it, through a camera.
+    pub(super) fn sight(
+        &self,
+        light: &Light,
+        camera: &Camera,
+        seen: &Seen,
+        ground: &Ground,
+    ) -> Sight {
         let [x, y, z] = seen.at;
         let (paint, normal, class, thing) = match seen.solid {
             Some(index) => {
@@ -184,12 +197,12 @@ impl Scene {
                 lit = along as f32;
             }
         }
-        let colour = self.camera.expose(shade(light, &paint, n[2] as f32, lit, class));
+        let colour = camera.expose(shade(light, &paint, n[2] as f32, lit, class));
         // Leaves are all edges; antialiasing them one by one would blur nothing but cost much.
         let face = if class == Class::Tree { 0 } else { face_number(seen.face) };
         let parts = [thing, face, u64::from(paint.key), u64::from(lit > 0.0)];
         let shadow_key = if class == Class::Tree { &parts[..2] } else { &parts[..] };
-        Sample { colour, key: key(shadow_key) }
+        Sight { colour, key: key(shadow_key) }
     }
 
     fn in_shadow(&self, from: [f64; 3], sun: &super::world::SunRay) -> bool {
@@ -219,7 +232,7 @@ fn shade(light: &Light, paint: &Paint, up: f32, lit: f32, class: Class) -> Colou
 }
 
 /// Compresses what is brighter than white, so that pale roofs keep their texture.
-fn tone(v: f32) -> f32 {
+pub(super) fn tone(v: f32) -> f32 {
     let knee = 0.72;
     if v <= knee {
         v.max(0.0)

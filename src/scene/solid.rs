@@ -343,8 +343,18 @@ impl Crown {
 
     /// The outermost exit of a ray, with the entry into the same spheroid.
     fn clip(&self, ray: &Ray) -> Option<Span> {
+        let passing = Passing::new(ray);
+        if !passing.reaches(self.x, self.y, self.radius) {
+            return None;
+        }
         let mut best: Option<Span> = None;
         for (i, puff) in self.puffs.iter().enumerate() {
+            // A rising ray leaves a spheroid below its top.
+            let top = puff.center[2] + puff.half_height - ray.from[2];
+            let low = best.is_some_and(|b| ray.step[2] > 0.0 && top < b.exit * ray.step[2] - 1e-9);
+            if low || !passing.reaches(puff.center[0], puff.center[1], puff.radius) {
+                continue;
+            }
             if let Some((enter, exit)) = puff.clip(ray)
                 && best.is_none_or(|b| exit > b.exit)
             {
@@ -357,25 +367,74 @@ impl Crown {
         best
     }
 
+    /// The first entry of a ray into a spheroid beyond a parameter.
+    fn enter(&self, ray: &Ray, after: f64) -> Option<(f64, Face)> {
+        let passing = Passing::new(ray);
+        if !passing.reaches(self.x, self.y, self.radius) {
+            return None;
+        }
+        let mut best: Option<(f64, Face)> = None;
+        for (i, puff) in self.puffs.iter().enumerate() {
+            if passing.reaches(puff.center[0], puff.center[1], puff.radius)
+                && let Some((enter, _)) = puff.clip(ray)
+                && enter > after
+                && best.is_none_or(|b| enter < b.0)
+            {
+                let [x, y, _] = ray.at(enter);
+                if !self.is_hole(x, y) {
+                    best = Some((enter, Face::Top(i as u8)));
+                }
+            }
+        }
+        best
+    }
+
     /// Whether a ray meets the crown beyond a parameter. Cheaper than [`Self::clip`].
     fn blocks(&self, ray: &Ray, after: f64) -> bool {
-        // The ray's closest approach to the axis, seen from above.
-        let (x, y) = (self.x - ray.from[0], self.y - ray.from[1]);
-        let [dx, dy, _] = ray.step;
-        let length = dx * dx + dy * dy;
-        let cross = x * dy - y * dx;
-        if cross * cross > self.radius * self.radius * length {
+        let passing = Passing::new(ray);
+        if !passing.reaches(self.x, self.y, self.radius) {
             return false;
         }
         self.puffs.iter().any(|puff| {
-            puff.clip(ray).is_some_and(|(enter, exit)| {
-                let at = if enter > after { enter } else { exit };
-                exit > after && {
-                    let [x, y, _] = ray.at(at);
-                    !self.is_hole(x, y)
-                }
-            })
+            let top = puff.center[2] + puff.half_height - ray.from[2];
+            // A rising ray passes over what is lower than its start.
+            (ray.step[2] <= 0.0 || top >= after * ray.step[2] - 1e-9)
+                && passing.reaches(puff.center[0], puff.center[1], puff.radius)
+                && puff.clip(ray).is_some_and(|(enter, exit)| {
+                    let at = if enter > after { enter } else { exit };
+                    exit > after && {
+                        let [x, y, _] = ray.at(at);
+                        !self.is_hole(x, y)
+                    }
+                })
         })
+    }
+}
+
+/// A ray seen from above: how close it passes by upright axes.
+#[derive(Clone, Copy)]
+struct Passing {
+    from: [f64; 2],
+    step: [f64; 2],
+    /// Squared length of the step, a little enlarged so that rounding never rejects what is touched.
+    length: f64,
+}
+
+impl Passing {
+    fn new(ray: &Ray) -> Self {
+        let [dx, dy, _] = ray.step;
+        let length = (dx * dx + dy * dy) * (1.0 + 1e-9);
+        Self { from: [ray.from[0], ray.from[1]], step: [dx, dy], length }
+    }
+
+    /// Whether the line comes within `radius` of an axis.
+    fn reaches(&self, x: f64, y: f64, radius: f64) -> bool {
+        let (x, y) = (x - self.from[0], y - self.from[1]);
+        if self.length == 0.0 {
+            return x * x + y * y <= radius * radius * (1.0 + 1e-9);
+        }
+        let cross = x * self.step[1] - y * self.step[0];
+        cross * cross <= radius * radius * self.length
     }
 }
 
@@ -433,6 +492,19 @@ impl Shape {
             Self::Cylinder(c) => c.clip(ray),
             Self::Crown(c) => c.clip(ray),
         }
+    }
+
+    /// Where a ray first comes in from outside beyond a parameter, and through which face. A ray that starts
+    /// inside a solid (of a crown: a spheroid) does not meet that one.
+    #[must_use]
+    pub fn enter(&self, ray: &Ray, after: f64) -> Option<(f64, Face)> {
+        if let Self::Crown(crown) = self {
+            return crown.enter(ray, after);
+        }
+        // A ray comes in where one that runs the other way goes out.
+        let back = Ray { from: ray.from, step: ray.step.map(|d| -d) };
+        let span = self.clip(&back)?;
+        (-span.exit > after).then_some((-span.exit, span.exit_face))
     }
 
     /// Whether a ray meets the solid beyond a parameter.

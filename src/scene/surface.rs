@@ -49,6 +49,8 @@ pub struct Scene {
     pub(super) sun: Option<SunRay>,
     pub(super) lean: [f64; 2],
     pub(super) camera: Camera,
+    /// A bound on the slope of the ground, rise per metre.
+    pub(super) steepest: f64,
     worlds: [Arc<World>; 2],
 }
 
@@ -85,6 +87,7 @@ impl Scene {
         let paint = GroundPaint::new(&layout, indexed, spec.images.season, spec.seed);
         let (sun, lean) = (sun_ray(&spec, &frame, &effects), view_lean(&spec, &frame, &effects));
         let camera = Camera::new(spec.camera.as_ref());
+        let steepest = terrain.steepest(reach(&spec));
         Ok(Self {
             spec,
             frame,
@@ -97,6 +100,7 @@ impl Scene {
             sun,
             lean,
             camera,
+            steepest,
             worlds: [lidar, image],
         })
     }

@@ -18,6 +18,8 @@ pub struct Solid {
     /// Its geometry.
     pub shape: Shape,
     highest: f64,
+    /// Whether it casts a shadow that shows.
+    casts: bool,
 }
 
 /// Light from a point source at infinity: a ray's change per metre of path, in the local frame.
@@ -44,6 +46,14 @@ pub struct Seen {
 /// Path over which a ray may touch the surface that it starts from, metres.
 const CLEARANCE_M: f64 = 1e-3;
 
+/// Whether a solid is so thin that the sun, half a degree wide, is seen on both sides of it from the ground.
+fn is_wire(shape: &Shape) -> bool {
+    match shape {
+        Shape::Prism(p) => p.rect.half_u.min(p.rect.half_v) < 0.065 && p.highest() - p.bottom < 0.9,
+        Shape::Cylinder(_) | Shape::Crown(_) => false,
+    }
+}
+
 /// All solids of one epoch.
 #[derive(Clone, Debug)]
 pub struct World {
@@ -67,6 +77,7 @@ impl World {
                     class: part.class,
                     finish: part.finish,
                     highest: part.shape.highest(),
+                    casts: !is_wire(&part.shape),
                     shape: part.shape,
                 })
             })
@@ -130,18 +141,54 @@ impl World {
                     from: [from[0], from[1], from[2] - sun.curvature * middle * middle],
                     step: [dx, dy, dz + 2.0 * sun.curvature * middle],
                 };
-                if self.tops[cell] > from[2] + enter * dz
+                // Sorted by height: where the ray is above one, it is above those that follow.
+                let low = from[2] + enter * dz;
+                if self.tops[cell] > low
                     && self
                         .grid
                         .in_cell(cell)
                         .iter()
-                        .any(|s| self.solids[*s as usize].shape.blocks(&ray, CLEARANCE_M))
+                        .map(|s| &self.solids[*s as usize])
+                        .take_while(|s| s.highest > low)
+                        .any(|s| s.casts && s.shape.blocks(&ray, CLEARANCE_M))
                 {
                     return ControlFlow::Break(());
                 }
                 ControlFlow::Continue(())
             })
             .is_some()
+    }
+
+    /// The first solid that a ray meets from outside between two parameters, and where: parameter and
+    /// what is seen there. The ray may run in any direction.
+    #[must_use]
+    pub fn hit(&self, ray: &Ray, after: f64, until: f64) -> Option<(f64, Seen)> {
+        let [dx, dy, dz] = ray.step;
+        let mut best: Option<(f64, u32, Face)> = None;
+        let height = |t: f64| ray.from[2] + t * dz;
+        let _: Option<()> =
+            self.grid.along([ray.from[0], ray.from[1]], [dx, dy], until, |cell, enter, exit| {
+                // Sorted by height: where the ray is above one, it is above those that follow.
+                let low = height(enter).min(height(exit)) - CLEARANCE_M;
+                for &index in self.grid.in_cell(cell) {
+                    let solid = &self.solids[index as usize];
+                    if solid.highest < low {
+                        break;
+                    }
+                    if let Some((t, face)) = solid.shape.enter(ray, after)
+                        && t <= until
+                        && best.is_none_or(|b| t < b.0)
+                    {
+                        best = Some((t, index, face));
+                    }
+                }
+                // What begins beyond this cell may still be behind something in the next.
+                if best.is_some_and(|b| b.0 <= exit) {
+                    return ControlFlow::Break(());
+                }
+                ControlFlow::Continue(())
+            });
+        best.map(|(t, index, face)| (t, Seen { solid: Some(index), face, at: ray.at(t) }))
     }
 
     /// What a distant satellite sees in the direction of a point of the ground: `lean` is the
@@ -189,7 +236,7 @@ mod tests {
     use crate::random::Draw;
     use crate::scene::object::{Kind, Part, rgb};
     use crate::scene::shape::Rect;
-    use crate::scene::solid::{Prism, flat};
+    use crate::scene::solid::{Crown, Cylinder, Prism, Puff, flat};
 
     fn block(id: u32, x: f64, y: f64, half: f64, bottom: f64, top: f64) -> Object {
         let rect = Rect::new([x, y], [1.0, 0.0], half, half);
@@ -247,6 +294,124 @@ mod tests {
             assert!((seen.at[2] - expected).abs() < 1e-9);
         }
         assert!(hits > 300 && dark > 300, "{hits} {dark}");
+    }
+
+    /// A world of prisms, cylinders and crowns.
+    fn mixed_world(seed: u64) -> World {
+        let mut draw = Draw::new(&[seed, 1]);
+        let objects = (0..150).map(|id| {
+            let (x, y) = (draw.range(-95.0, 95.0), draw.range(-95.0, 95.0));
+            if id % 3 == 0 {
+                return block(id, x, y, draw.range(0.5, 6.0), -1.0, draw.range(1.0, 20.0));
+            }
+            let shape = if id % 3 == 1 {
+                let (bottom, radius) = (draw.range(-1.0, 4.0), draw.range(0.1, 3.0));
+                Shape::Cylinder(Cylinder { x, y, radius, bottom, top: bottom + 6.0 })
+            } else {
+                let puffs: Vec<Puff> = (0..6)
+                    .map(|_| Puff {
+                        center: [
+                            x + draw.range(-2.0, 2.0),
+                            y + draw.range(-2.0, 2.0),
+                            draw.range(2.0, 8.0),
+                        ],
+                        radius: draw.range(0.5, 1.5),
+                        half_height: draw.range(0.5, 1.5),
+                    })
+                    .collect();
+                let (radius, bottom, top) = (4.5, 0.0, 9.5);
+                Shape::Crown(Crown { x, y, radius, bottom, top, puffs, porosity: 0.0, pattern: 1 })
+            };
+            let finish = Finish::Plain { colour: rgb(1, 2, 3) };
+            let parts = vec![Part { class: Class::Tree, finish, shape }];
+            Object { id, kind: Kind::Building, only: None, parts }
+        });
+        World::new(objects.collect::<Vec<_>>(), area())
+    }
+
+    #[test]
+    fn a_ray_hits_first_what_a_search_over_all_solids_finds_first() {
+        let world = mixed_world(5);
+        let mut hits = 0;
+        for i in 0..6000 {
+            let mut draw = Draw::new(&[21, i]);
+            let from = [0, 1, 2]
+                .map(|k| if k < 2 { draw.range(-105.0, 105.0) } else { draw.range(-2.0, 25.0) });
+            let (e, a) = (draw.range(-1.6, 1.6), draw.range(0.0, 6.3));
+            let step = draw.pick([
+                [libm::cos(e) * libm::sin(a), libm::cos(e) * libm::cos(a), libm::sin(e)],
+                [libm::sin(a), libm::cos(a), 0.0],
+                [1.0, 0.0, 0.0],
+            ]);
+            let ray = Ray { from, step };
+            let until = draw.range(1.0, 250.0);
+            let after = draw.pick([0.0, 1e-3, 5.0]);
+            let expected = world
+                .solids
+                .iter()
+                .filter_map(|s| s.shape.enter(&ray, after))
+                .map(|h| h.0)
+                .filter(|t| *t <= until)
+                .fold(f64::INFINITY, f64::min);
+            let found = world.hit(&ray, after, until);
+            let inside = expected.is_infinite() || {
+                // What lies outside the indexed area is not found.
+                let [x, y, _] = ray.at(expected);
+                area().contains(x, y)
+            };
+            if inside {
+                assert_eq!(found.map_or(f64::INFINITY, |h| h.0), expected, "{ray:?}");
+            }
+            let Some((t, seen)) = found else { continue };
+            hits += 1;
+            // The point lies on the solid's surface, and the face looks towards the start.
+            let solid = &world.solids[seen.solid.expect("a solid") as usize];
+            let n = solid.shape.normal(seen.face, seen.at);
+            assert!((0..3).map(|k| n[k] * step[k]).sum::<f64>() <= 1e-9, "{seen:?}");
+            let just_before = ray.at(t - 1e-6);
+            let over = solid.shape.top(just_before[0], just_before[1]);
+            if let (Face::Top(_), Some((z, _)), Shape::Prism(_)) = (seen.face, over, &solid.shape) {
+                assert!(just_before[2] >= z - 1e-9);
+            }
+        }
+        assert!(hits > 800, "{hits}");
+    }
+
+    #[test]
+    fn from_above_a_ray_hits_the_top_and_along_the_lean_what_the_satellite_sees() {
+        let world = random_world(9);
+        let (mut tops, mut leaning) = (0, 0);
+        for i in 0..4000 {
+            let mut draw = Draw::new(&[22, i]);
+            let (x, y) = (draw.range(-95.0, 95.0), draw.range(-95.0, 95.0));
+            let down = Ray { from: [x, y, 500.0], step: [0.0, 0.0, -1.0] };
+            let hit = world.hit(&down, 0.0, 600.0).map(|h| h.1);
+            let top = world.top(x, y, |_| true);
+            assert_eq!(hit.map(|s| s.solid), top.map(|t| Some(t.0)));
+            if let (Some(seen), Some((_, z, face))) = (hit, top) {
+                tops += 1;
+                assert!((seen.at[2] - z).abs() < 1e-9 && seen.face == face);
+            }
+            let lean = [draw.range(-0.5, 0.5), draw.range(-0.5, 0.5)];
+            let ground = [x, y, 0.0];
+            let seen = world.seen(ground, lean);
+            let towards = Ray {
+                from: [x + 60.0 * lean[0], y + 60.0 * lean[1], 60.0],
+                step: [-lean[0], -lean[1], -1.0],
+            };
+            if !area().contains(towards.from[0], towards.from[1]) {
+                continue;
+            }
+            match world.hit(&towards, 0.0, 60.0 - 1e-9) {
+                Some((_, hit)) => {
+                    leaning += 1;
+                    assert_eq!(hit.solid, seen.solid, "{ground:?} {lean:?}");
+                    assert!((0..3).all(|k| (hit.at[k] - seen.at[k]).abs() < 1e-6));
+                }
+                None => assert_eq!(seen.solid, None),
+            }
+        }
+        assert!(tops > 300 && leaning > 500, "{tops} {leaning}");
     }
 
     #[test]

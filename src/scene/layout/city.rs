@@ -166,7 +166,12 @@ fn tower(b: &mut Builder<'_>, draw: &mut Draw, lot: &Rect) {
     let height = (b.spec.blocks.tower_height_metres * (0.16 + 0.84 * share * share)).max(6.0);
     let look = Look::draw(draw, b.grey_share());
     let mut parts = Vec::new();
-    if height > 16.0 {
+    if b.spec.detail.is_some() && draw.chance(0.4) {
+        let height = high + height.min(30.0);
+        for wing in detail::wings(draw, &podium) {
+            parts.extend(flat_building(draw, wing, bottom, height, look));
+        }
+    } else if height > 16.0 {
         let base = draw.range(5.0, 11.0);
         parts.extend(flat_building(draw, podium, bottom, high + base, look));
         let shrink = draw.range(0.55, 0.85);

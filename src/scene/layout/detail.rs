@@ -109,6 +109,24 @@ pub(super) fn flats(b: &mut Builder<'_>, draw: &mut Draw, frame: &Frame, size: [
     true
 }
 
+/// A house along the edges of a lot: a slab, an L or a U about a court.
+pub(super) fn wings(draw: &mut Draw, lot: &Rect) -> Vec<Rect> {
+    let deep = |half: f64, draw: &mut Draw| draw.range(6.0, 9.5).min(half);
+    let (hu, hv) = (lot.half_u, lot.half_v);
+    let (du, dv) = (deep(hu, draw), deep(hv, draw));
+    let (su, sv) = (draw.pick([-1.0, 1.0]), draw.pick([-1.0, 1.0]));
+    let along_u = lot.sub(0.0, sv * (hv - dv), hu, dv);
+    let rest = hv - dv;
+    let side = |s: f64| lot.sub(s * (hu - du), -sv * dv, du, rest);
+    match draw.index(4) {
+        0 => vec![*lot],
+        1 => vec![along_u],
+        2 if rest > 2.0 => vec![along_u, side(su)],
+        _ if rest > 2.0 && hu > 2.0 * du => vec![along_u, side(su), side(-su)],
+        _ => vec![*lot],
+    }
+}
+
 /// Gabled windows that stand out of a roof, and a second gable as high as the first across it.
 pub(super) fn roof_shapes(
     draw: &mut Draw,

@@ -189,7 +189,11 @@ fn broadleaf_parts(
     // Trees turn one by one.
     let season =
         if lush && season == Season::Autumn && draw.chance(0.55) { Season::Summer } else { season };
-    let colour = broadleaf_colour(draw, season);
+    let mut colour = broadleaf_colour(draw, season);
+    if lush && season == Season::Spring && draw.chance(0.7) {
+        // Few trees blossom.
+        colour = broadleaf_colour(draw, Season::Summer);
+    }
     vec![crown_part(x, y, puffs, colour, draw), trunk(at, height, ground + height - 0.55 * depth)]
 }
 

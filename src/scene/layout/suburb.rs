@@ -300,6 +300,18 @@ impl Lot {
             let scale = b.enlarged(draw, scale);
             b.plant_tree(draw, x, y, scale);
         }
+        let more = if b.spec.detail.is_some() { draw.index(14) } else { 0 };
+        for _ in 0..more {
+            // Beds along the house, the fences and the street.
+            let w = draw.range(-0.97, 0.97) * half;
+            let d = draw.pick([0.04, 0.13, 0.2, 0.6, 0.75, 0.9, 0.97]) * back;
+            let [x, y] = f.at(w, d + draw.range(-0.6, 0.6));
+            if draw.chance(0.3) {
+                b.plant_tree(draw, x, y, 0.16);
+            } else {
+                b.plant_shrub(draw, x, y);
+            }
+        }
         for _ in 0..3 + draw.index(7) {
             let w = draw.pick([-1.0, 1.0]) * half * draw.range(0.55, 0.97);
             let [x, y] = f.at(w, draw.range(0.6, back - 0.6));

@@ -106,21 +106,31 @@ fn streets(draw: &mut Draw, kind: Kind) -> StreetSpec {
     let azimuth = if draw.chance(0.5) { draw.range(-3.0, 3.0) } else { draw.range(0.0, 180.0) };
     let turn = if draw.chance(0.5) { 90.0 } else { 0.0 };
     let (width, length, every) = match kind {
-        Kind::Suburb => (draw.range(62.0, 90.0), draw.range(90.0, 180.0), draw.index(5)),
-        Kind::Downtown => (draw.range(70.0, 100.0), draw.range(80.0, 120.0), 1 + draw.index(4)),
-        Kind::Industry => (draw.range(90.0, 150.0), draw.range(110.0, 220.0), draw.index(4)),
-        Kind::CarPark => (draw.range(90.0, 140.0), draw.range(110.0, 200.0), 1 + draw.index(3)),
+        Kind::Suburb => {
+            (draw.range(62.0, 90.0), draw.range(90.0, 180.0), draw.pick([0, 0, 0, 3, 4]))
+        }
+        Kind::Downtown => {
+            (draw.range(70.0, 100.0), draw.range(80.0, 120.0), draw.pick([0, 2, 2, 3, 4]))
+        }
+        Kind::Industry => {
+            (draw.range(90.0, 150.0), draw.range(110.0, 220.0), draw.pick([0, 0, 2, 3]))
+        }
+        Kind::CarPark => {
+            (draw.range(90.0, 140.0), draw.range(110.0, 200.0), draw.pick([0, 2, 2, 3]))
+        }
         Kind::Forest => (draw.range(140.0, 320.0), draw.range(160.0, 320.0), 0),
-        Kind::Park => (draw.range(110.0, 200.0), draw.range(120.0, 240.0), draw.index(3)),
-        Kind::Waterfront => (draw.range(80.0, 180.0), draw.range(90.0, 200.0), draw.index(4)),
-        Kind::Mixed => (draw.range(60.0, 100.0), draw.range(70.0, 140.0), draw.index(4)),
+        Kind::Park => (draw.range(110.0, 200.0), draw.range(120.0, 240.0), draw.pick([0, 0, 2])),
+        Kind::Waterfront => {
+            (draw.range(80.0, 180.0), draw.range(90.0, 200.0), draw.pick([0, 0, 2, 3]))
+        }
+        Kind::Mixed => (draw.range(60.0, 100.0), draw.range(70.0, 140.0), draw.pick([0, 0, 3, 4])),
     };
     StreetSpec {
         azimuth_degrees: azimuth + turn,
         block_width_metres: width,
         block_length_metres: length,
         irregularity: draw.range(0.0, 0.3),
-        arterial_every: every as u32,
+        arterial_every: every,
     }
 }
 

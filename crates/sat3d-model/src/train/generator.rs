@@ -3,6 +3,7 @@
 use super::TrainError;
 use super::field::{FieldTensors, Head, HeadSizes};
 use super::learner::NamedTensor;
+use super::mini;
 use super::optimiser::{AdamW, Average, finite, named_parameters};
 use super::parameters::{Stored, with_parameters};
 use super::rays::Rays;
@@ -16,6 +17,7 @@ use crate::network::loader::Loader;
 use crate::network::probe::Probe;
 use crate::network::sky::SkyMapping;
 use crate::network::super_resolution::SuperResolution;
+use crate::network::unet::{Mode, Statistics, UNet, absorb};
 use crate::random::Draw;
 use crate::render::Composite;
 use crate::weights::TensorSource;
@@ -29,8 +31,15 @@ pub trait MapNetwork: Module {
     /// Where its parameters lie in a checkpoint.
     const PREFIX: &'static str;
 
-    /// Normalised images (`batch x 3 x side x side`) to maps (`batch x channels x n x n`).
-    fn maps(&self, images: Tensor<4>, training: bool) -> Tensor<4>;
+    /// Normalised images (`batch x 3 x side x side`) to maps (`batch x channels x n x n`), in training.
+    /// What batch norms meet goes to `statistics`.
+    fn maps(&self, images: Tensor<4>, statistics: &mut Statistics) -> Tensor<4>;
+
+    /// Called after a step with what its norms met.
+    #[must_use]
+    fn absorb(self, _statistics: &Statistics) -> Self {
+        self
+    }
 
     /// Called before each step of training with a number that names the step's random numbers.
     fn name_step(&mut self, _name: u64) {}
@@ -38,6 +47,14 @@ pub trait MapNetwork: Module {
     /// What a checkpoint holds beside the parameters that are trained.
     fn frozen(&self) -> Vec<NamedTensor> {
         Vec::new()
+    }
+
+    /// The tensors of a finished model, from those of one in training.
+    ///
+    /// # Errors
+    /// [`TrainError::State`] where one is missing.
+    fn finished(&self, weights: Vec<NamedTensor>) -> Result<Vec<NamedTensor>, TrainError> {
+        Ok(weights)
     }
 }
 
@@ -93,11 +110,11 @@ impl ReleasedMap {
 impl MapNetwork for ReleasedMap {
     const PREFIX: &'static str = "unet_model";
 
-    fn maps(&self, images: Tensor<4>, training: bool) -> Tensor<4> {
+    fn maps(&self, images: Tensor<4>, _statistics: &mut Statistics) -> Tensor<4> {
         let Frozen { encoder, pad, rotary, .. } = &self.encoder;
         let tracked = images.is_autodiff();
         let images = images.without_autodiff();
-        let rotary = rotary.as_deref().filter(|_| training);
+        let rotary = rotary.as_deref();
         one_by_one(images, |image| {
             let mut tokens = encoder.forward_turned(image, rotary, &mut Probe::none());
             if *pad > 0 {
@@ -122,6 +139,40 @@ impl MapNetwork for ReleasedMap {
     }
 }
 
+/// The small network, fresh, with its norms.
+#[derive(Module, Debug)]
+pub struct MiniMap {
+    unet: UNet,
+    #[module(skip)]
+    config: Config,
+}
+
+impl MiniMap {
+    /// Share of a batch in the running statistics of the norms.
+    const MOMENTUM: f64 = 0.05;
+}
+
+impl MapNetwork for MiniMap {
+    const PREFIX: &'static str = "";
+
+    fn maps(&self, images: Tensor<4>, statistics: &mut Statistics) -> Tensor<4> {
+        let planes = self.unet.planes(images, Mode::Train(statistics));
+        let [batch, _, rows, columns] = planes.dims();
+        let channels = self.config.plane_channels;
+        // The reader takes the mean over rows, so the line stands in every one.
+        let line: Tensor<4> = self.unet.line().reshape([1, channels, 1, columns]);
+        Tensor::cat(vec![planes, line.expand([batch, channels, rows, columns])], 1)
+    }
+
+    fn absorb(self, statistics: &Statistics) -> Self {
+        absorb(self, statistics, Self::MOMENTUM)
+    }
+
+    fn finished(&self, weights: Vec<NamedTensor>) -> Result<Vec<NamedTensor>, TrainError> {
+        mini::finished(&self.config, weights)
+    }
+}
+
 /// Runs a module that takes one image at a time.
 fn one_by_one(images: Tensor<4>, of: impl FnMut(Tensor<4>) -> Tensor<4>) -> Tensor<4> {
     let results: Vec<Tensor<4>> = images.split(1, 0).into_iter().map(of).collect();
@@ -143,6 +194,8 @@ pub(crate) struct Shape {
     pub image_side: usize,
     /// 2 with super-resolution, else 1.
     pub enlarged: usize,
+    /// Whether the style code is the sky's mean colour, as the small network has it.
+    pub plain_style: bool,
 }
 
 impl Shape {
@@ -155,6 +208,7 @@ impl Shape {
             head: HeadSizes::of(config),
             image_side: config.image_side(),
             enlarged: config.super_resolution,
+            plain_style: config.unet.is_some(),
         }
     }
 }
@@ -225,15 +279,38 @@ impl Generator<ReleasedMap> {
     }
 }
 
+impl Generator<MiniMap> {
+    /// The small network from a seed, or from the weights of a training that went before.
+    pub(crate) fn mini(
+        config: &Config,
+        source: &dyn TensorSource,
+        device: &Device,
+    ) -> Result<Self, TrainError> {
+        let root = Loader::new(source, device);
+        let Some(unet) = &config.unet else {
+            return Err(TrainError::State("not a small network".into()));
+        };
+        let (channels, pad) = (config.plane_channels, config.pad_tokens());
+        let unet = UNet::load(&root.child("unet"), unet, channels, pad, true)?;
+        Ok(Self {
+            map: MiniMap { unet, config: config.clone() },
+            head: Head::load(&root.child("mlp"), HeadSizes::of(config))?,
+            sky_mapping: None,
+            sky_decoder: None,
+            sharp: None,
+        })
+    }
+}
+
 impl<M: MapNetwork> Generator<M> {
     /// The fields of normalised images, one each.
     pub(crate) fn fields(
         &self,
         shape: &Shape,
         images: Tensor<4>,
-        training: bool,
+        statistics: &mut Statistics,
     ) -> Vec<FieldTensors> {
-        let maps = self.map.maps(images, training);
+        let maps = self.map.maps(images, statistics);
         let [_, channels, height, width] = maps.dims();
         maps.split(1, 0)
             .into_iter()
@@ -258,7 +335,10 @@ impl<M: MapNetwork> Generator<M> {
             colors[..3].copy_from_slice(&plain);
             let data = TensorData::new(colors, [1, shape.head.colors]);
             let sky = Background::Plain(Tensor::from_data(data, &device));
-            return Light { tint: self.head.tint(None), sky };
+            let style = shape
+                .plain_style
+                .then(|| Tensor::from_data(TensorData::new(plain.to_vec(), [1, 3]), &device));
+            return Light { tint: self.head.tint(style), sky };
         };
         let data = TensorData::new(histogram.to_vec(), [1, histogram.len()]);
         let style = mapping.forward(Tensor::from_data(data, &device));

@@ -23,7 +23,7 @@ mod targets;
 
 pub use error::TrainError;
 pub use example::{Class, Example, Street, Truth};
-pub use generator::{MapNetwork, ReleasedMap};
+pub use generator::{MapNetwork, MiniMap, ReleasedMap};
 pub use heights::{HeightLearner, HeightSettings};
 pub use learner::{Exported, Learner, NamedTensor, Outcome, Term};
 pub use paper::{

@@ -352,7 +352,7 @@ impl TensorSource for Named {
     }
 }
 
-fn path_of(prefix: &str) -> Vec<String> {
+pub(crate) fn path_of(prefix: &str) -> Vec<String> {
     if prefix.is_empty() { Vec::new() } else { vec![prefix.to_owned()] }
 }
 

@@ -2,6 +2,7 @@
 
 use super::TrainError;
 use super::learner::NamedTensor;
+use super::optimiser::path_of;
 use burn::module::{Module, ModuleMapper, Param};
 use burn::tensor::{Tensor, TensorData};
 use std::collections::BTreeMap;
@@ -92,7 +93,7 @@ pub(crate) fn with_parameters<M: Module>(
     module: M,
     stored: &mut Stored<'_>,
 ) -> Result<M, TrainError> {
-    let mut mapper = Putting { path: vec![prefix.to_owned()], stored, error: None };
+    let mut mapper = Putting { path: path_of(prefix), stored, error: None };
     let module = module.map(&mut mapper);
     match mapper.error {
         None => Ok(module),

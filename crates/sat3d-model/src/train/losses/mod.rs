@@ -2,9 +2,11 @@
 //!
 //! * [`gravity`]: density must not grow upwards.
 //! * [`depth`]: relative depth from above, up to a scale and a shift.
-//! * [`photometric`]: colours.
-//! * [`adversarial`]: what a discriminator says.
+//! * [`photometric`]: colours; [`perceptual`] and [`lpips`]: how different pictures look.
+//! * [`adversarial`]: what a discriminator says; [`penalty`], with [`tangent`]: how steeply it may say
+//!   it; [`spectral`]: the norm of its weights.
 //! * [`sky`]: where the sky is, and its colours.
+//! * [`height`]: true heights and classes, of simulated scenes.
 //!
 //! All tensors are batch first and lie on one device; a loss is a tensor of one value. Constants are
 //! fields of small option types with the values of the release (`release()`, MODEL_SPEC section 11) and
@@ -15,9 +17,17 @@
 pub mod adversarial;
 pub mod depth;
 pub mod gravity;
+pub mod height;
+pub mod lpips;
+pub mod penalty;
+pub mod perceptual;
 pub mod photometric;
 pub mod sky;
+pub mod spectral;
+pub mod tangent;
 
+#[cfg(test)]
+mod hard;
 mod safe;
 #[cfg(test)]
 mod testing;

@@ -29,3 +29,27 @@ pub(super) fn root<const D: usize>(squares: Tensor<D>) -> Tensor<D> {
     let zero = squares.clone().lower_equal_elem(0.0);
     squares.mask_fill(zero.clone(), 1.0).sqrt().mask_fill(zero, 0.0)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::train::losses::testing::{scalar, values, wide};
+
+    #[test]
+    fn the_root_of_nought_has_no_slope() {
+        let squares = wide(vec![0.0, 4.0, -1e-30], [3]).require_grad();
+        let roots = root(squares.clone());
+        assert_eq!(values(roots.clone()), [0.0, 2.0, 0.0]);
+        let slopes = values(squares.grad(&roots.sum().backward()).expect("a gradient"));
+        assert_eq!(slopes, [0.0, 0.25, 0.0]);
+    }
+
+    #[test]
+    fn a_mean_of_nothing_is_nought() {
+        let values = || wide(vec![f64::NAN, 2.0, 4.0], [3]);
+        let mean = |known: [f64; 3]| {
+            scalar(mean_where(values(), &wide(known.to_vec(), [3]).greater_elem(0.5)))
+        };
+        assert_eq!([mean([0.0; 3]), mean([0.0, 1.0, 0.0]), mean([0.0, 1.0, 1.0])], [0.0, 2.0, 3.0]);
+    }
+}

@@ -4,7 +4,7 @@
 //! unknown; a picture that is absent has a mask of NaN.
 
 use super::safe::{keep, mean_where, softplus, weights};
-use burn::tensor::Tensor;
+use burn::tensor::{Bool, Tensor};
 
 /// How opacity is held against the sky mask.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -96,6 +96,7 @@ impl SkyColour {
 ///
 /// `predicted` and `truth` are `batch x 3 x height x width` in one range (the release's is [-1, 1]): the sky
 /// map looked up along the rays and the panorama at that size (release), or the rendered panorama (paper).
+/// Pixels of unknown colour are left out.
 #[must_use]
 pub fn sky_colour(
     predicted: Tensor<4>,
@@ -104,11 +105,16 @@ pub fn sky_colour(
     options: &SkyColour,
 ) -> Tensor<1> {
     let shape = predicted.dims();
-    let inside = sky.clone().greater_elem(0.0);
+    let inside = known_sky(&sky, &truth);
     let share = keep(sky, &inside);
     let inside = inside.expand(shape);
     let error = (keep(predicted, &inside) - keep(truth, &inside)).abs() * share.clone();
     error.sum() / (share.sum() * shape[1] as f64 + options.epsilon)
+}
+
+/// Pixels with sky whose colour is known.
+fn known_sky(sky: &Tensor<4>, truth: &Tensor<4>) -> Tensor<4, Bool> {
+    sky.clone().greater_elem(0.0).bool_and(truth.clone().is_finite().all_dim(1))
 }
 
 /// Mean sky colour term: outside the true sky, the sky map is drawn to the mean colour of the true sky
@@ -125,7 +131,7 @@ pub fn mean_sky_colour(
     options: &SkyColour,
 ) -> Tensor<1> {
     let shape @ [_, channels, height, width] = predicted.dims();
-    let inside = sky.clone().greater_elem(0.0);
+    let inside = known_sky(&sky, &truth);
     let share = keep(sky.clone(), &inside);
     let seen = share.clone().sum_dims(&[2, 3]);
     let truth = keep(truth, &inside.expand(shape)) * share;

@@ -7,6 +7,9 @@ use safetensors::SafeTensors;
 /// The reference's inputs and scalars.
 static GOLDENS: &[u8] = include_bytes!("../../../fixtures/losses.safetensors");
 
+/// Numbers of PyTorch and of the package `lpips`; `fixtures/losses_oracle.py` makes them.
+pub(super) static TORCH: &[u8] = include_bytes!("../../../fixtures/losses_torch.safetensors");
+
 /// Step of the central differences, in `f64`.
 const STEP: f64 = 1e-6;
 

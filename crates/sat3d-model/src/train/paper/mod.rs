@@ -14,9 +14,10 @@ pub use settings::{AdversarialWeights, Form, PaperSettings, Photometric, TermWei
 use super::TrainError;
 use super::discriminator::{Discriminator, gradient_penalty};
 use super::example::Example;
-use super::generator::{Generator, MapNetwork, ReleasedMap, Shape};
+use super::generator::{Generator, MapNetwork, MiniMap, ReleasedMap, Shape};
 use super::learner::{Exported, Learner, NamedTensor, Outcome, Term};
-use super::optimiser::{AdamW, Average, finite};
+use super::mini::{self, MiniSettings};
+use super::optimiser::{AdamW, Average, Named, finite};
 use super::rays::{Look, Purpose, draw, random_window};
 use super::targets::{Sizes, StreetTargets, Targets, batch};
 use crate::config::Config;
@@ -121,6 +122,27 @@ impl PaperLearner<ReleasedMap> {
     }
 }
 
+impl PaperLearner<MiniMap> {
+    /// Learns the small network, from fresh weights that the settings' seed names. It has neither a sky
+    /// network nor super-resolution.
+    ///
+    /// # Errors
+    /// As [`PaperLearner::new`].
+    pub fn mini(
+        mini: &MiniSettings,
+        device: Device,
+        settings: PaperSettings,
+        perceptual: Option<Box<Perceptual>>,
+    ) -> Result<Self, TrainError> {
+        let config = mini.config(0)?;
+        let device = device.open()?.autodiff();
+        let source = Named::new(mini::fresh(&config, settings.seed));
+        let generator = Generator::mini(&config, &source, &device)?;
+        let shape = Shape::of(&config);
+        Self::with_generator(generator, shape, mini.json(0), &device, settings, perceptual)
+    }
+}
+
 /// Tensors of a whole checkpoint that are neither trained nor the encoder's: parts that were left out, the
 /// encoder's unused token, buffers.
 fn rest(
@@ -203,7 +225,7 @@ impl<M: MapNetwork> PaperLearner<M> {
     fn generator_step(&mut self, step: u64, targets: &[Targets]) -> Result<Outcome, TrainError> {
         let seed = self.settings.seed;
         self.generator.map.name_step(draw(seed, step, Purpose::Positions, &[]).bits());
-        let Judged { terms, rendered } = Objective {
+        let Judged { terms, rendered, statistics } = Objective {
             settings: &self.settings,
             shape: &self.shape,
             generator: &self.generator,
@@ -222,6 +244,7 @@ impl<M: MapNetwork> PaperLearner<M> {
             return Ok(Outcome::Skipped("a gradient of the generator is not finite".into()));
         }
         self.generator = self.generator.clone().step(&mut self.optimiser, &gradients, 1.0);
+        self.generator.map = self.generator.map.clone().absorb(&statistics);
         self.generator.average(&mut self.average);
         if self.critics.any() {
             let window =
@@ -341,15 +364,16 @@ impl<M: MapNetwork> Learner for PaperLearner<M> {
     }
 
     fn export(&self) -> Result<Exported, TrainError> {
-        let whole = |mut tensors: Vec<NamedTensor>| {
+        let whole = |tensors: Vec<NamedTensor>| {
+            let mut tensors = self.generator.map.finished(tensors)?;
             tensors.extend(self.beside.iter().cloned());
-            tensors
+            Ok::<_, TrainError>(tensors)
         };
-        let model = whole(self.generator.parameters());
+        let model = whole(self.generator.parameters())?;
         // Before the first step there is nothing to average yet.
         let average = match self.average.updates() {
             0 => model.clone(),
-            _ => whole(self.average.parameters()),
+            _ => whole(self.average.parameters())?,
         };
         Ok(Exported { config: self.config.clone(), model, average })
     }

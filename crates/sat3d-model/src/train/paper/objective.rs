@@ -9,6 +9,7 @@ use super::super::render::Samples;
 use super::super::targets::{StreetTargets, Targets, batch, halved};
 use super::settings::{Form, PaperSettings, Photometric};
 use super::{Critics, Perceptual};
+use crate::network::unet::Statistics;
 use crate::random::key;
 use crate::render::Camera;
 use crate::render::frames::from_crop;
@@ -26,6 +27,8 @@ pub(crate) struct Pictures {
 pub(crate) struct Judged {
     pub terms: Vec<(&'static str, Tensor<1>)>,
     pub rendered: Pictures,
+    /// What the map network's norms met.
+    pub statistics: Statistics,
 }
 
 /// Everything that a step of the generator is made of.
@@ -95,7 +98,8 @@ impl<M: MapNetwork> Objective<'_, M> {
     /// Renders the batch and judges it.
     pub(crate) fn judge(&self, targets: &[Targets]) -> Judged {
         let inputs = batch(targets.iter().map(|target| &target.input), self.device);
-        let fields = self.generator.fields(self.shape, inputs, true);
+        let mut statistics = Vec::new();
+        let fields = self.generator.fields(self.shape, inputs, &mut statistics);
         let window = random_window(
             &self.settings.views,
             draw(self.settings.seed, self.step, Purpose::Window, &[]),
@@ -130,7 +134,7 @@ impl<M: MapNetwork> Objective<'_, M> {
         self.adversarial(&rendered, &mut terms);
         self.gravity(&fields, &mut terms);
         let rendered = Pictures { views: rendered.views.map(|view| view.map(Tensor::detach)) };
-        Judged { terms, rendered }
+        Judged { terms, rendered, statistics }
     }
 
     fn colors_above(&self) -> bool {

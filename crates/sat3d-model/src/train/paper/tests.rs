@@ -363,6 +363,43 @@ fn the_loss_falls() {
 }
 
 #[test]
+fn the_small_network_learns_likewise() {
+    let sizes = MiniSettings {
+        widths: [8, 8, 8],
+        blocks: [1, 1, 1],
+        attention: 1,
+        heads: 2,
+        channels: 4,
+        hidden: 8,
+        pad: 0.0,
+    };
+    let new = || PaperLearner::mini(&sizes, Device::Cpu, settings(), None).expect("a learner");
+    let run = |learner: &mut PaperLearner<MiniMap>, steps: std::ops::Range<u64>| {
+        for step in steps {
+            names(&learner.step(step, &[example(1), example(2)]).expect("a step"));
+        }
+        learner.state().expect("a state")
+    };
+    let mut whole = new();
+    let start = whole.state().expect("a state");
+    let half = run(&mut whole, 0..2);
+    let end = run(&mut whole, 2..4);
+    for prefix in ["weights/unet.stem.norm.running_mean", "weights/unet.line", "weights/mlp.net0"] {
+        assert!(!part(&start, prefix).is_empty(), "{prefix}");
+        assert_ne!(part(&start, prefix), part(&half, prefix), "{prefix}");
+    }
+    let mut resumed = new();
+    resumed.restore(&half).expect("a state of this model");
+    assert!(run(&mut resumed, 2..4) == end, "a resumed run is another one");
+    let Exported { config, average, .. } = whole.export().expect("a model");
+    let config = Config::from_json(&config).expect("a config");
+    let model = Model::from_source(config, Box::new(Named::new(average)), &Device::Cpu);
+    let scene = model.expect("a model").scene(&noise(1, 32, 32, 3), None, 32.24).expect("a scene");
+    let heights = scene.dsm(8, &RenderOptions::default()).height;
+    assert!(heights.iter().all(|height| (0.0..0.2).contains(height)), "{heights:?}");
+}
+
+#[test]
 fn settings_are_plain_values_and_nonsense_is_named() {
     for settings in [PaperSettings::release(), PaperSettings::paper(), settings()] {
         let text = serde_json::to_string(&settings).expect("a text");

@@ -1,5 +1,7 @@
 use super::*;
-use crate::train::losses::testing::{check_gradients_at, golden, scalar, uniform, values, wide};
+use crate::train::losses::testing::{
+    check_gradients_at, golden, narrow, scalar, uniform, values, wide,
+};
 
 const SHAPE: [usize; 4] = [2, 1, 11, 14];
 
@@ -87,6 +89,34 @@ fn what_lies_under_an_unknown_label_has_no_effect() {
         }
         assert_eq!(terms(&depth, &label, &form), terms(&other, &label, &form));
     }
+}
+
+#[test]
+fn depths_behind_the_camera_have_no_pole() {
+    let [mut depth, label] = pair();
+    let gradient = |depth: &[f64]| terms(depth, &label, &Depth::release())[2];
+    depth[20] = -1.0;
+    let nearest = gradient(&depth);
+    for behind in [-1.000_001, -1.5, -1e6] {
+        depth[20] = behind;
+        assert_eq!(gradient(&depth), nearest, "{behind}");
+    }
+}
+
+#[test]
+fn the_unit_of_the_depth_does_not_overflow() {
+    let [depth, label] = pair();
+    let [depth, label] = [depth, label].map(|v| v.iter().map(|v| *v as f32).collect::<Vec<_>>());
+    let slopes = |unit: f32| {
+        let scaled: Vec<f32> = depth.iter().map(|v| v * unit).collect();
+        let leaf = narrow(&scaled, SHAPE).require_grad();
+        let terms = satellite_depth(leaf.clone(), narrow(&label, SHAPE), &Depth::paper());
+        let slopes = values(leaf.grad(&terms.total.backward()).expect("a gradient"));
+        (scalar(terms.total), slopes.iter().fold(0.0_f64, |m, v| m.max(v.abs())))
+    };
+    let [(a, steep), (b, flat)] = [slopes(1.0), slopes(1e25)];
+    assert!((a / b - 1.0).abs() < 1e-5, "{a} {b}");
+    assert!((steep / flat / 1e25 - 1.0).abs() < 1e-3, "{steep} {flat}");
 }
 
 #[test]
