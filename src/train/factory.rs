@@ -2,10 +2,15 @@
 
 use super::settings::{ModelKind, Objective, Settings};
 use crate::model::config::RELEASED;
+use crate::model::train::losses::lpips::Lpips;
+use crate::model::train::losses::perceptual::{Perceptual as Distance, Substitute};
 use crate::model::train::mini::MiniSettings;
-use crate::model::train::{Class, HeightLearner, Learner, PaperLearner, PaperSettings, TrainError};
+use crate::model::train::{
+    Class, HeightLearner, Learner, PaperLearner, PaperSettings, Perceptual, TrainError,
+};
 use crate::model::weights::{Checkpoint, expected};
 use crate::model::{Config, Device, ModelError};
+use std::path::{Path, PathBuf};
 
 /// Makes the learner. `seed` is that of the training: of the first weights and of every random number in a step.
 ///
@@ -37,11 +42,22 @@ pub fn learner(
             "model.kind",
             "true heights are learnt by the small model; give kind = \"mini\", or objective.kind = \"paper\"",
         )),
-        (ModelKind::Mini, Objective::Paper(_)) => Err(refused(
-            "model.kind",
-            "the paper's objective is learnt by the network of the release; give kind = \"reference\"",
-        )),
+        (ModelKind::Mini, Objective::Paper(paper)) => {
+            let perceptual = perceptual(settings, *device)?;
+            let learner = PaperLearner::mini(&mini(settings), *device, *paper, Some(perceptual))?;
+            Ok(Box::new(learner))
+        }
     }
+}
+
+/// LPIPS with the user's weights, or the substitute, which `--explain` names.
+fn perceptual(settings: &Settings, device: Device) -> Result<Box<Perceptual>, TrainError> {
+    let files: Vec<&Path> = settings.objective.lpips.iter().map(PathBuf::as_path).collect();
+    let distance = match &files[..] {
+        [] => Distance::Substitute(Substitute::default()),
+        files => Distance::Lpips(Box::new(Lpips::for_learner(files, device)?)),
+    };
+    Ok(Box::new(move |first, second| distance.distance(first, second).mean()))
 }
 
 fn mini(settings: &Settings) -> MiniSettings {
@@ -62,12 +78,13 @@ fn reference(
         });
     };
     let source = Checkpoint::open(start)?;
+    let perceptual = perceptual(settings, device)?;
     let config = match &settings.model.config {
         Some(path) => std::fs::read_to_string(path)
             .map_err(|source| ModelError::Io { path: path.clone(), source })?,
         None => RELEASED.to_owned(),
     };
-    Ok(Box::new(PaperLearner::new(&config, &source, device, paper, None)?))
+    Ok(Box::new(PaperLearner::new(&config, &source, device, paper, Some(perceptual))?))
 }
 
 /// Parameters of the network, where they can be told without making it.

@@ -170,6 +170,7 @@ impl Settings {
         [&mut self.model.config, &mut self.model.start, &mut self.data.simulated.cache]
             .into_iter()
             .flatten()
+            .chain(&mut self.objective.lpips)
             .chain(vigor.into_iter().flat_map(|vigor| {
                 std::iter::once(&mut vigor.folder).chain(vigor.manifest.as_mut())
             }))

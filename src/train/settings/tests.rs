@@ -155,7 +155,7 @@ fn the_papers_terms_and_what_the_data_hold_for_them() {
     let find = |terms: &[ObjectiveTerm], name: &str| {
         terms.iter().find(|term| term.name == name).expect(name).clone()
     };
-    let release = terms("");
+    let release = terms("[data.simulated]\nviews = 0\n");
     let panorama = find(&release, "weights.panorama");
     assert_eq!((panorama.weight, panorama.lacks), (3.0, Some("the data have no panoramas")));
     assert_eq!(find(&release, "weights.depth").lacks, None);
@@ -164,6 +164,7 @@ fn the_papers_terms_and_what_the_data_hold_for_them() {
     assert_eq!(find(&paper, "weights.gravity").weight, 0.0);
     assert_eq!(find(&paper, "weights.ortho_opacity").weight, 0.0);
     let folder = env!("CARGO_MANIFEST_DIR");
+    assert_eq!(find(&paper, "weights.panorama").lacks, None);
     let vigor = terms(&format!(
         "[data]\nsource = \"vigor\"\nvigor = {{ folder = \"{folder}\", depth = \"\" }}\n"
     ));
