@@ -173,7 +173,7 @@ batch = 3
 seed = 11
 checkpoint_every = 6
 log_every = 4
-preview_every = 8
+preview_every = 12
 keep = 2
 threads = 2
 "#;

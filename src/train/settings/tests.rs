@@ -73,6 +73,12 @@ fn what_is_wrong_is_named_with_its_place_and_what_is_served() {
         ("[objective.heights]\nslope = \"a\"", ["`objective.heights.slope` = \"a\"", "f64"]),
         ("[objective.heights]\nsteps = 5", ["`objective.heights.steps` = 5", "`run.steps`"]),
         ("[objective]\nform = \"paper\"", ["`objective.form` = \"paper\"", "belongs to"]),
+        ("[model]\nkind = \"reference\"", ["`model.start` = null", "encoder"]),
+        ("[model]\nconfig = \"/\"", ["`model.config` = \"/\"", "model.mini"]),
+        (
+            "[model]\nkind = \"reference\"\nstart = \"/\"",
+            ["`model.kind` = \"reference\"", "true heights"],
+        ),
         ("[model]\nstart = \"none\"", ["`model.start` = \"/runs/a/none\"", "does not exist"]),
     ] {
         let error = refusal(text);
