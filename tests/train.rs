@@ -325,6 +325,59 @@ fn the_built_program_killed_and_resumed_leaves_the_same_bytes() {
     assert!(heights.len() == 256 * 256 && heights.iter().all(|height| height.is_finite()));
 }
 
+#[test]
+fn the_papers_signals_are_learnt_from_simulated_streets() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("train.toml");
+    let text = r#"
+[model]
+mini = { widths = [8, 8, 8], blocks = [1, 1, 1], attention = 1, heads = 2, channels = 4, hidden = 8 }
+[objective]
+kind = "paper"
+[objective.paper]
+discriminator_channels = 16
+gravity_points = 50
+[objective.paper.views]
+ortho_grid = 24
+ortho_window = 16
+panorama_width = 32
+panorama_height = 8
+perspective = 16
+coarse_samples = 8
+fine_samples = 0
+[data]
+held_out = 1
+simulated = { scenes = 2, scene_side = 80, side = 64, pixel_m = 1.0, views = 2, panorama_width = 64 }
+[run]
+steps = 4
+batch = 2
+checkpoint_every = 2
+log_every = 2
+preview_every = 4
+"#;
+    fs::write(&config, text).unwrap();
+    let command = |out: &str, arguments: &[&str]| {
+        let mut command = sat3d();
+        command.arg("train").arg(&config).arg("--out").arg(folder.path().join(out)).args(arguments);
+        command
+    };
+    let plan = stdout(&call(&mut command("a", &["--explain"]), 0));
+    assert!(
+        plan.contains("substitute for LPIPS") && plan.contains("2 panoramas of 64 px"),
+        "{plan}"
+    );
+    let json = stdout(&call(&mut command("a", &["--json", "-q"]), 0));
+    let summary: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let terms: Vec<&String> = summary["terms"].as_object().unwrap().keys().collect();
+    for part in ["panorama", "depth", "gravity", "discriminator"] {
+        assert!(terms.iter().any(|term| term.contains(part)), "{part} in {terms:?}");
+    }
+    // In two pieces it ends the same.
+    call(&mut command("b", &["-q", "--set", "run.minutes=0.0001"]), 0);
+    call(&mut command("b", &["-q"]), 0);
+    assert_same(&folder.path().join("a"), &folder.path().join("b"));
+}
+
 /// Sends SIGINT once `when` holds; the exit code.
 fn interrupt_when(mut child: Child, when: impl Fn() -> bool) -> Option<i32> {
     while !when() && child.try_wait().unwrap().is_none() {
@@ -441,7 +494,7 @@ fn the_command_line_explains_and_refuses() {
 
 #[test]
 fn the_examples_of_the_documentation_are_read() {
-    for name in ["mini.toml", "paper.toml"] {
+    for name in ["mini.toml", "mini-self.toml", "paper.toml"] {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines/train").join(name);
         // The data set of the second is the user's own.
         let folder = tempfile::tempdir().unwrap();
