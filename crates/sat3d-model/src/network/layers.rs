@@ -114,12 +114,7 @@ impl Conv {
 /// A 3 x 3 convolution in training; `rim` pixels on each side of the input are a border of their own, for
 /// which nothing is asked.
 #[cfg(feature = "train")]
-fn trained(
-    input: Tensor<4>,
-    weight: Tensor<4>,
-    bias: Option<Tensor<1>>,
-    rim: usize,
-) -> Tensor<4> {
+fn trained(input: Tensor<4>, weight: Tensor<4>, bias: Option<Tensor<1>>, rim: usize) -> Tensor<4> {
     let [outputs, ..] = weight.dims();
     let mut map = crate::train::convolution::convolve(input, weight);
     if rim > 0 {
