@@ -115,6 +115,13 @@ impl Frame {
         [self.scale * (east * ny + north * nx), self.scale * (north * ny - east * nx)]
     }
 
+    /// The way back from [`Self::from_ground`].
+    #[must_use]
+    pub fn to_ground(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        let [nx, ny] = self.north;
+        [(x * ny - y * nx) / self.scale, (x * nx + y * ny) / self.scale]
+    }
+
     /// WGS 84 position of a local position.
     ///
     /// # Errors
@@ -165,5 +172,9 @@ mod tests {
         let at = frame.to_lonlat(120.0, -75.0).expect("inverse");
         let back = frame.to_local(at).expect("forward");
         assert!((back[0] - 120.0).abs() < 1e-7 && (back[1] + 75.0).abs() < 1e-7);
+        let [east, north] = frame.to_ground(frame.from_ground([31.0, -12.0]));
+        assert!((east - 31.0).abs() < 1e-12 && (north + 12.0).abs() < 1e-12);
+        // West of the central meridian a way to true north leads a little east in the grid.
+        assert!(frame.from_ground([0.0, 100.0])[0] > 1.0);
     }
 }

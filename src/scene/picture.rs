@@ -1,4 +1,4 @@
-//! Encoding pictures as PNG: 8-bit RGB, or a palette of 256 colours as VIGOR's files have.
+//! Encoding pictures as PNG: 8-bit RGB, a palette of 256 colours as VIGOR's files have, or grey.
 
 use super::error::SceneError;
 use super::spec::ImageColours;
@@ -37,6 +37,29 @@ pub fn encode(
     };
     let mut writer = encoder.write_header().map_err(fail)?;
     writer.write_image_data(data).map_err(fail)?;
+    writer.finish().map_err(fail)?;
+    Ok(bytes)
+}
+
+/// Encodes a grey picture.
+///
+/// # Errors
+/// [`SceneError::Write`] when the encoder refuses, with `path` for the message.
+pub fn encode_grey(
+    grey: &[u8],
+    width: u32,
+    height: u32,
+    path: &Path,
+) -> Result<Vec<u8>, SceneError> {
+    let fail =
+        |e: png::EncodingError| SceneError::Write { path: path.to_owned(), reason: e.to_string() };
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, width, height);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.set_compression(png::Compression::Fast);
+    let mut writer = encoder.write_header().map_err(fail)?;
+    writer.write_image_data(grey).map_err(fail)?;
     writer.finish().map_err(fail)?;
     Ok(bytes)
 }

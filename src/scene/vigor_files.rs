@@ -20,7 +20,8 @@ pub const CORRECTED_RESOLUTION_M: f64 = 0.100_817;
 /// Metres per pixel that the original labels assume in every city.
 pub const ORIGINAL_RESOLUTION_M: f64 = 0.114;
 /// Letters of panorama identifiers.
-const LETTERS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_";
+pub(super) const LETTERS: &[u8; 64] =
+    b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_";
 /// How often a place for a panorama is looked for.
 const ATTEMPTS: u32 = 200;
 
@@ -130,7 +131,8 @@ fn fits(scene: &Scene, center: LonLat) -> Result<bool, SceneError> {
     Ok(true)
 }
 
-fn stem(center: LonLat) -> String {
+/// `satellite_<lat>_<lon>`.
+pub(super) fn stem(center: LonLat) -> String {
     // The shortest decimals that read back as the same numbers, as VIGOR's names have.
     format!("satellite_{}_{}", center.lat_deg, center.lon_deg)
 }

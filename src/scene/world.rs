@@ -141,15 +141,12 @@ impl World {
                     from: [from[0], from[1], from[2] - sun.curvature * middle * middle],
                     step: [dx, dy, dz + 2.0 * sun.curvature * middle],
                 };
-                // Sorted by height: where the ray is above one, it is above those that follow.
-                let low = from[2] + enter * dz;
-                if self.tops[cell] > low
+                if self.tops[cell] > from[2] + enter * dz
                     && self
                         .grid
                         .in_cell(cell)
                         .iter()
                         .map(|s| &self.solids[*s as usize])
-                        .take_while(|s| s.highest > low)
                         .any(|s| s.casts && s.shape.blocks(&ray, CLEARANCE_M))
                 {
                     return ControlFlow::Break(());

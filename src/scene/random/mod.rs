@@ -5,9 +5,11 @@
 //! * [`Sample`]: a square picture with its heights and classes; [`Street`]: a panorama in it.
 
 mod draw;
+mod files;
 mod sample;
 mod street;
 
+pub use files::{Drawn, PANORAMA_WIDTH, RandomSummary, RandomSurvey};
 pub use sample::{Crop, Sample};
 pub use street::{Street, draw_position};
 
@@ -24,6 +26,7 @@ mod purpose {
     pub const SCENE: u64 = 2;
     pub const PLACE: u64 = 3;
     pub const STREET: u64 = 4;
+    pub const SENSOR: u64 = 5;
 }
 
 /// What kind of place a scene shows.
