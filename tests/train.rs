@@ -352,6 +352,7 @@ simulated = { scenes = 2, scene_side = 80, side = 64, pixel_m = 1.0, views = 2, 
 steps = 4
 batch = 2
 checkpoint_every = 2
+keep = 1
 log_every = 2
 preview_every = 4
 "#;

@@ -5,10 +5,10 @@ use std::path::PathBuf;
 
 /// Train a network: on simulated cities or on VIGOR, by true heights or by the paper's signals.
 ///
-/// The settings file says what is learnt from what, and for how long; every setting has a default. Into --out go
-/// checkpoints that `sat3d infer --weights` takes, a log (log.jsonl) and a page with its curves and sample pictures
-/// (log.html). A training that was stopped or killed goes on where it was when the same command is given again, and
-/// ends with the same bytes.
+/// The settings file says what is learnt from what, and for how long; every setting has a default. Writes checkpoints
+/// that `sat3d infer` takes as weights, a log (log.jsonl) and a page with its curves and sample pictures (log.html). A
+/// training that was stopped or killed goes on where it was when the same command is given again, and ends with the
+/// same bytes.
 #[derive(clap::Args, Debug)]
 #[command(after_help = "\
 Examples:

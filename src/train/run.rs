@@ -226,10 +226,12 @@ impl<'a> Session<'a> {
     fn run(mut self, interrupt: &Interrupt) -> Result<Summary, TrainingError> {
         let run = &self.prepared.settings.run;
         let limit = run.minutes.map(|minutes| minutes * 60.0);
+        // However short the limit, each session gets on by a step.
+        let first = self.step;
         let result = loop {
             let ending = if interrupt.requested() {
                 Some(Ending::Interrupted)
-            } else if limit.is_some_and(|limit| self.live.seconds() >= limit) {
+            } else if self.step > first && limit.is_some_and(|limit| self.live.seconds() >= limit) {
                 Some(Ending::Time)
             } else {
                 None

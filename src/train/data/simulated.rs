@@ -248,6 +248,7 @@ mod tests {
             scene_side: 40,
             side: 32,
             memory_mib: 1,
+            views: 0,
             ..SimulatedSettings::default()
         }
     }
