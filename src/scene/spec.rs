@@ -558,7 +558,8 @@ impl Default for ChangeSpec {
     }
 }
 
-/// `[camera]`: what air, lens and processing make of the images. Heights do not hang on it.
+/// `[camera]`: what air, lens and processing make of the images. Heights do not hang on it; the picture
+/// of `[picture]` is not blurred or sharpened.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct CameraSpec {
@@ -598,8 +599,8 @@ impl Default for CameraSpec {
     }
 }
 
-/// `[detail]`: more of what real cities have. Every key at 0 leaves the scene as it is without the table,
-/// but for the colours and crowns, which are more varied.
+/// `[detail]`: more of what real cities have: varied roofs, courts, crowns of many lumps, and what the
+/// keys say.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DetailSpec {

@@ -54,7 +54,34 @@ impl SceneSpec {
         self.check_light(&c)?;
         self.check_lidar(&c)?;
         self.check_images(&c)?;
-        self.check_picture(&c)
+        self.check_picture(&c)?;
+        self.check_camera(&c)?;
+        self.check_detail(&c)
+    }
+
+    fn check_camera(&self, c: &Check<'_>) -> Result<(), SceneError> {
+        let Some(camera) = &self.camera else { return Ok(()) };
+        c.range("camera.sky_light", camera.sky_light, 0.1, 2.0, "")?;
+        c.range("camera.haze", camera.haze, 0.0, 0.6, "")?;
+        c.range("camera.exposure", camera.exposure, 0.2, 4.0, "")?;
+        for factor in camera.white_balance {
+            c.range("camera.white_balance", factor, 0.5, 2.0, "")?;
+        }
+        c.range("camera.saturation", camera.saturation, 0.0, 2.0, "")?;
+        c.range("camera.contrast", camera.contrast, 0.3, 3.0, "")?;
+        c.range("camera.blur_pixels", camera.blur_pixels, 0.0, 5.0, "")?;
+        c.range("camera.sharpening", camera.sharpening, 0.0, 2.0, "")
+    }
+
+    fn check_detail(&self, c: &Check<'_>) -> Result<(), SceneError> {
+        let Some(detail) = &self.detail else { return Ok(()) };
+        c.range("detail.railway", detail.railway, 0.0, 1e6, "a weight is not negative")?;
+        c.range("detail.larger_trees", detail.larger_trees, 0.0, 2.0, "")?;
+        c.share("detail.flats_share", detail.flats_share)?;
+        c.share("detail.grey_share", detail.grey_share)?;
+        c.share("detail.closed_canopy", detail.closed_canopy)?;
+        c.share("detail.wires_share", detail.wires_share)?;
+        c.share("detail.fence_share", detail.fence_share)
     }
 
     fn check_ground(&self, c: &Check<'_>) -> Result<(), SceneError> {

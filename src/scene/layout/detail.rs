@@ -7,7 +7,7 @@ use super::plants::jitter;
 use super::suburb::{FOUNDATION_M, Style};
 use super::{Builder, Frame};
 use crate::random::Draw;
-use crate::scene::object::{Class, Colour, Cover, Covering, Epoch, Finish, Kind, Part, rgb};
+use crate::scene::object::{Class, Colour, Cover, Epoch, Finish, Kind, Part, rgb};
 use crate::scene::purpose;
 use crate::scene::shape::Rect;
 use crate::scene::solid::{Cylinder, Prism, Roof, Shape, flat};
@@ -345,9 +345,4 @@ pub(super) fn wires(b: &mut Builder<'_>, from: [f64; 2], to: [f64; 2], height: f
         }
     }
     b.add_at(Kind::Structure, Some(Epoch::Image), parts);
-}
-
-/// The covering of a flat roof with `[detail]`: sheets, gravel and coated metal.
-pub(super) fn flat_covering(draw: &mut Draw) -> Covering {
-    draw.pick([Covering::Membrane, Covering::Membrane, Covering::Gravel, Covering::Metal])
 }

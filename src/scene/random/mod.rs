@@ -128,8 +128,8 @@ impl RandomScenes {
         self.spec_for(index, 64.0)
     }
 
-    /// What a scene is like, just large enough for a square of `metres` about its centre. What
-    /// stands in the square does not hang on its size but for the middle of the dense uses.
+    /// What a scene is like, just large enough for a square of `metres` about its centre. Another size may
+    /// move the shore and the middle of the dense uses.
     #[must_use]
     pub fn spec_for(&self, index: u64, metres: f64) -> SceneSpec {
         draw::spec(self, index, metres)
