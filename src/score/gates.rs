@@ -32,14 +32,14 @@ pub fn gates(report: &Report) -> Vec<Gate> {
     };
     let gate = |name, value: f64, limit| Gate { name, value, limit, passed: value < limit };
     vec![
-        gate("DSM: RMSE in metres, worst seed", worst(Measure::DsmRmseM), 1.8),
-        gate("DSM: RMSE by that of flat ground, worst seed", worst(Measure::DsmOfFlat), 0.5),
+        gate("DSM: RMSE, m (worst seed)", worst(Measure::DsmRmseM), 1.8),
+        gate("DSM: RMSE / flat ground (worst seed)", worst(Measure::DsmOfFlat), 0.5),
         gate(
-            "buildings: height error by that of the best constant, upper end of the interval",
+            "buildings: error / best constant (upper end of the interval)",
             report.all.score(Measure::BuildingOfConstant).high,
             1.0,
         ),
-        gate("mesh: RMSE by that of the DSM, worst seed", worst(Measure::MeshOfDsm), 1.1),
-        gate("floaters: per cent of the columns, worst seed", worst(Measure::FloatersPct), 2.0),
+        gate("mesh: RMSE / DSM (worst seed)", worst(Measure::MeshOfDsm), 1.1),
+        gate("floaters: % of the columns (worst seed)", worst(Measure::FloatersPct), 2.0),
     ]
 }
