@@ -140,7 +140,6 @@ fn gates_pass_and_fail_one_by_one() {
     let made = |error: f32, mesh: f32, floaters: u64| {
         let images = (0..20).map(|index| {
             let truth = if index % 2 == 0 { 5.0 } else { 15.0 };
-            let index = index / 2 + 10 * (index % 2);
             image([1, index], truth, truth - error, truth - mesh, floaters)
         });
         gates(&report(images.collect(), &[1]))
@@ -148,7 +147,7 @@ fn gates_pass_and_fail_one_by_one() {
     let failed = |gates: Vec<Gate>| -> Vec<usize> {
         (0..gates.len()).filter(|at| !gates[*at].passed).collect()
     };
-    assert_eq!(failed(made(1.0, 1.0, 20)), []);
+    assert!(failed(made(1.0, 1.0, 20)).is_empty());
     assert_eq!(failed(made(1.0, 1.2, 20)), [3]);
     assert_eq!(failed(made(1.0, 1.0, 21)), [4]);
     // 80 of 1024 pixels off by 7 m: an RMSE of 1.96 m, where flat ground has 3.1 m; 5 m is as good as a constant.
