@@ -4,6 +4,9 @@
 //! goes from inside to outside, and columns are pixel centres: a vertical ray through a pixel's centre meets the
 //! mesh at these vertices and nowhere else. So its top is the column's highest crossing, placed as the mesh
 //! places vertices, and no triangles are needed. Tests hold this against rays through a mesh's triangles.
+//!
+//! Below the centre of the lowest texel of its line a field fades away by construction, so that the lowest level
+//! may be empty under solid ground. That is no gap: nothing can be seen there.
 
 use crate::model::Scene;
 use crate::model::mesh::CLAMP;
@@ -27,15 +30,18 @@ pub struct Columns {
 pub fn of_scene(scene: &Scene, size: usize, isovalue: f32, metres_per_unit: f64) -> Columns {
     let field = scene.field();
     let grid = density_grid(field, Lattice::pixels(size, field.scale()));
-    of_grid(&grid, isovalue, metres_per_unit)
+    let lowest_texel = 1.0 / scene.parts().inputs.map.width as f64 - 1.0;
+    of_grid(&grid, isovalue, metres_per_unit, lowest_texel)
 }
 
 /// Columns of a grid of densities. A point is inside where its density is at least `isovalue`, as for the
-/// mesh; NaN is outside.
+/// mesh; NaN is outside. What is empty below `lowest` (z) is no gap.
 #[must_use]
-pub fn of_grid(grid: &DensityGrid, isovalue: f32, metres_per_unit: f64) -> Columns {
+pub fn of_grid(grid: &DensityGrid, isovalue: f32, metres_per_unit: f64, lowest: f64) -> Columns {
     let [across, down, levels] = grid.shape();
     let heights: Vec<f64> = grid.lattice.z.iter().map(|z| f64::from(*z)).collect();
+    // Levels that stand at that height but for rounding are not below it.
+    let rim = heights.partition_point(|z| *z < lowest - 1e-6);
     let mut found = Columns { top_m: Vec::with_capacity(across * down), holes: 0, floaters: 0 };
     for row in 0..down {
         for column in 0..across {
@@ -45,7 +51,8 @@ pub fn of_grid(grid: &DensityGrid, isovalue: f32, metres_per_unit: f64) -> Colum
                 Some(top) => {
                     let z = crossing(values, &heights, top, isovalue);
                     found.top_m.push(((z + 1.0) * metres_per_unit) as f32);
-                    found.floaters += u64::from(values[..top].iter().any(|v| !inside(*v)));
+                    found.floaters +=
+                        u64::from(values[rim.min(top)..top].iter().any(|v| !inside(*v)));
                 }
                 None => {
                     found.top_m.push(0.0);

@@ -142,7 +142,7 @@ fn floaters_holes_and_tops_of_a_made_grid() {
         // Not a number is empty.
         &[9.0, f32::NAN, 9.0, f32::NAN],
     ];
-    let found = of_grid(&grid([2, 3], &columns), 5.0, 10.0);
+    let found = of_grid(&grid([2, 3], &columns), 5.0, 10.0, -1.0);
     assert_eq!((found.holes, found.floaters), (1, 3));
     let near = |at: usize, height: f64| {
         let top = f64::from(found.top_m[at]);
@@ -156,6 +156,27 @@ fn floaters_holes_and_tops_of_a_made_grid() {
     near(3, 10.0 * (1.25 + 0.5 * CLAMP));
     near(4, 10.0 * (1.75 + 0.25 * (1.0 - CLAMP)));
     near(5, 10.0 * (1.25 + 0.5 * (1.0 - CLAMP)));
+}
+
+#[test]
+fn what_is_empty_at_the_bottom_is_no_gap() {
+    let columns: [&[f32]; 2] = [&[0.0, 9.0, 9.0, 0.0], &[0.0, 9.0, 0.0, 9.0]];
+    let floaters = |lowest| of_grid(&grid([1, 2], &columns), 5.0, 1.0, lowest).floaters;
+    // Levels stand at -0.75, -0.25, 0.25 and 0.75.
+    assert_eq!([-0.75, -0.74, 0.0, 0.25, 0.26, 1.0].map(floaters), [2, 1, 1, 1, 0, 0]);
+}
+
+#[test]
+fn solid_ground_of_few_texels_has_no_floaters() {
+    // 256 levels a cube unit apart from 64 texels: four of them are below the lowest texel's centre.
+    let (mut inputs, head) = BoxCity { texels: 64, ground: -0.9, ..BoxCity::example() }.inputs();
+    inputs.scale = 1.0;
+    let scene = Scene::new(SceneParts { inputs, head, sky: None, metres_per_unit: UNIT_M });
+    let scene = scene.expect("a scene");
+    let grid = density_grid(scene.field(), Lattice::pixels(256, 1.0));
+    let lowest: Vec<f32> = grid.values.chunks_exact(256).map(|column| column[0]).collect();
+    assert!(lowest.iter().filter(|density| **density < 5.0).count() > 40_000);
+    assert_eq!(of_scene(&scene, 256, 5.0, UNIT_M).floaters, 0);
 }
 
 #[test]
@@ -175,7 +196,7 @@ fn tops_of_noise_are_those_of_its_mesh() {
     };
     let axes = [axis(&made.lattice.x), axis(&made.lattice.y), axis(&made.lattice.z)];
     let surface = mesh_grid(&axes, &made.values, 5.0).expect("meshes");
-    let found = of_grid(&made, 5.0, 1.0);
+    let found = of_grid(&made, 5.0, 1.0, -1.0);
     assert!(found.floaters > 30 && found.holes > 0, "{} {}", found.floaters, found.holes);
     for (at, top) in found.top_m.iter().enumerate() {
         let ray = [made.lattice.x[at % size], made.lattice.y[at / size]].map(f64::from);
