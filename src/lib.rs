@@ -19,6 +19,7 @@ pub mod plan;
 pub mod raster;
 pub mod recipe;
 pub mod scene;
+pub mod score;
 pub mod stac;
 pub mod table;
 pub mod tile;

@@ -1,4 +1,7 @@
-//! `sat3d model`: weights looked into, fetched, and the network held against the reference.
+//! `sat3d model`: weights looked into, fetched, written anew, scored, and the network held against the reference.
+
+mod export;
+mod score;
 
 use crate::console;
 use clap::Subcommand;
@@ -12,7 +15,7 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Fetch, inspect and verify the network that turns a satellite image into a scene.
+/// Fetch, inspect, verify, score and export the network that turns a satellite image into a scene.
 #[derive(clap::Args, Debug)]
 pub struct Args {
     #[command(subcommand)]
@@ -24,6 +27,8 @@ enum Command {
     Fetch(FetchArgs),
     Inspect(InspectArgs),
     Verify(VerifyArgs),
+    Score(score::Args),
+    Export(export::Args),
 }
 
 /// Download weights into the cache of the Hugging Face hub.
@@ -114,6 +119,8 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
         Command::Fetch(args) => fetch(args),
         Command::Inspect(args) => inspect(args),
         Command::Verify(args) => verify(args),
+        Command::Score(args) => score::run(args),
+        Command::Export(args) => export::run(args),
     }
 }
 

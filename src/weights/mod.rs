@@ -4,6 +4,7 @@
 //! somebody named are never silently replaced by others.
 
 pub mod cache;
+pub mod export;
 #[cfg(feature = "fetch")]
 pub mod fetch;
 mod identity;

@@ -16,6 +16,7 @@ mod shade;
 #[allow(clippy::unwrap_used, reason = "a test may fail")]
 mod tests;
 
+pub(crate) use offset::median;
 pub use resample::{apply, apply_nearest};
 
 use super::protocol::{OffsetMethod, Protocol};

@@ -65,7 +65,7 @@ impl OffsetFinder {
 
 /// Median by selection (the mean of the middle two of an even count); NaN for an empty list.
 /// Reorders the list.
-pub(super) fn median(values: &mut [f64]) -> f64 {
+pub(crate) fn median(values: &mut [f64]) -> f64 {
     if values.is_empty() {
         return f64::NAN;
     }

@@ -67,7 +67,7 @@ pub fn lone_block(number: u64) -> (i64, i64) {
 }
 
 /// How many times each of `weights.len()` units is drawn in one replicate.
-pub(super) fn draw(sequence: &[u64], weights: &mut [u32]) {
+pub(crate) fn draw(sequence: &[u64], weights: &mut [u32]) {
     weights.fill(0);
     let mut numbers = Draw::new(sequence);
     for _ in 0..weights.len() {
@@ -84,7 +84,7 @@ pub(super) fn by_name(images: &[ImageSample]) -> Vec<&ImageSample> {
 
 /// Ends of the interval that holds the middle `level_pct` per cent of the replicates of statistics
 /// of `units` units (see the module). NaN where there are fewer than two units or no replicate.
-pub(super) fn ends(replicates: &mut Vec<f64>, units: usize, level_pct: f64) -> (f64, f64) {
+pub(crate) fn ends(replicates: &mut Vec<f64>, units: usize, level_pct: f64) -> (f64, f64) {
     replicates.retain(|value| !value.is_nan());
     if units < 2 || replicates.is_empty() {
         return (f64::NAN, f64::NAN);

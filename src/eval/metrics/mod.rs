@@ -15,6 +15,7 @@ mod student;
 mod sums;
 
 pub use bootstrap::{BootstrapSettings, block_of, intervals, lone_block};
+pub(crate) use bootstrap::{draw, ends};
 pub use differences::{ComparedSet, differences};
 pub use histogram::Histogram;
 pub use quantiles::{CoarseCounts, FineCounts, NMAD_FACTOR, Quantiles, Refinement};

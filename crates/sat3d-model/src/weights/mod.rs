@@ -13,11 +13,13 @@ use std::path::{Path, PathBuf};
 mod expected;
 mod inspect;
 mod mapped;
+mod rounded;
 pub mod rule;
 
 pub use expected::{Need, TensorSpec, expected};
 pub use inspect::{Inspection, ModuleSummary, Problems, examine, inspect, inspect_with};
 pub use mapped::MappedFile;
+pub use rounded::{LEAST_NORMAL, Precision, Rounding, RoundingError, write_rounded};
 
 /// Name of the weights' file in a checkpoint folder.
 pub const WEIGHTS_FILE: &str = "diffusion_pytorch_model.safetensors";
