@@ -44,6 +44,7 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     use sat3d::batch::Interrupt;
     use sat3d::train::{self, Options, Settings};
 
+    let interrupt = Interrupt::on_signals();
     let settings = Settings::read(&args.config, &args.set)?;
     let prepared = train::prepare(settings)?;
     if args.explain {
@@ -54,7 +55,7 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
         return Ok(ExitCode::Success);
     }
     let options = Options { out: args.out.clone(), quiet: console::quiet() };
-    let summary = train::run(&prepared, &options, &Interrupt::on_signals(), &train::learner)?;
+    let summary = train::run(&prepared, &options, &interrupt, &train::learner)?;
     if args.json {
         console::print(&(serde_json::to_string_pretty(&summary)? + "\n"))?;
     } else {

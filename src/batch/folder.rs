@@ -51,11 +51,7 @@ impl AtomicFolder {
     ///
     /// # Errors
     /// What `write` returns; any error of making folders or syncing, with the file's place in its message.
-    pub fn file(
-        &self,
-        name: &str,
-        write: impl FnOnce(&Path) -> io::Result<()>,
-    ) -> io::Result<()> {
+    pub fn file(&self, name: &str, write: impl FnOnce(&Path) -> io::Result<()>) -> io::Result<()> {
         let path = self.temporary.path().join(name);
         let all = || {
             if let Some(folder) = path.parent() {

@@ -107,6 +107,14 @@ impl Frame {
         ]
     }
 
+    /// Local position of a place so many ground metres east and north of the origin, near which the
+    /// projection is taken as affine.
+    #[must_use]
+    pub fn from_ground(&self, [east, north]: [f64; 2]) -> [f64; 2] {
+        let [nx, ny] = self.north;
+        [self.scale * (east * ny + north * nx), self.scale * (north * ny - east * nx)]
+    }
+
     /// WGS 84 position of a local position.
     ///
     /// # Errors

@@ -51,18 +51,18 @@ impl PixelPositions {
         Ok(Self { width, height, margin, at })
     }
 
-    /// Pixel centres of a square of `side` pixels and `metres` ground metres about the frame's origin,
-    /// true north up. The projection is taken as affine, which over 130 m it is to 1 mm.
+    /// Pixel centres of a square of `side` pixels and `metres` ground metres, true north up, its middle so
+    /// many ground metres east and north of the frame's origin. The projection is taken as affine, which
+    /// over 130 m it is to 1 mm.
     #[must_use]
-    pub fn square(frame: &Frame, side: usize, metres: f64) -> Self {
-        let [nx, ny] = frame.true_north();
-        let step = metres * frame.scale() / side.max(1) as f64;
-        let middle = side as f64 / 2.0;
+    pub fn square(frame: &Frame, side: usize, middle: [f64; 2], metres: f64) -> Self {
+        let step = metres / side.max(1) as f64;
+        let half = side as f64 / 2.0;
         let at = (0..side * side)
             .map(|i| {
-                let east = ((i % side) as f64 + 0.5 - middle) * step;
-                let north = (middle - (i / side) as f64 - 0.5) * step;
-                [east * ny + north * nx, north * ny - east * nx]
+                let east = middle[0] + ((i % side) as f64 + 0.5 - half) * step;
+                let north = middle[1] + (half - (i / side) as f64 - 0.5) * step;
+                frame.from_ground([east, north])
             })
             .collect();
         Self { width: side, height: side, margin: 0, at }

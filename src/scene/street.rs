@@ -147,3 +147,118 @@ impl Scene {
 
 /// Key of what is sky.
 const SKY: u64 = u64::MAX;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::effects::Options;
+    use crate::scene::object::{Class, Finish, Kind, Object, Part};
+    use crate::scene::pixels::PixelPositions;
+    use crate::scene::shape::Rect;
+    use crate::scene::solid::{Prism, Shape, flat};
+    use crate::scene::spec::{SceneSpec, SunSpec};
+
+    /// A level scene with one white box: 10 m east to west, 8 m south to north, its middle at the origin.
+    fn lone_box(height: f64, sun: Option<SunSpec>) -> Scene {
+        let mut spec = SceneSpec { sun, ..SceneSpec::default() };
+        spec.terrain.relief_metres = 0.0;
+        spec.terrain.slope_percent = 0.0;
+        let scene = Scene::new(spec, &Options::default()).expect("a scene");
+        let [nx, ny] = scene.frame.true_north();
+        let ground = scene.ground(0.0, 0.0);
+        let rect = Rect::new([0.0, 0.0], [ny, -nx], 5.0, 4.0);
+        let shape = Shape::Prism(Prism { rect, bottom: ground - 1.0, roof: flat(ground + height) });
+        let finish = Finish::Plain { colour: rgb(250, 250, 250) };
+        let part = Part { class: Class::Building, finish, shape };
+        scene.with_objects(vec![Object {
+            id: 0,
+            kind: Kind::Building,
+            only: None,
+            parts: vec![part],
+        }])
+    }
+
+    #[test]
+    fn a_shadow_in_the_picture_is_the_height_over_the_tangent() {
+        for (height, elevation) in [(6.0, 30.0_f64), (12.0, 55.0), (9.0, 20.0)] {
+            let at =
+                |azimuth_degrees| Some(SunSpec { azimuth_degrees, elevation_degrees: elevation });
+            // The same place lit from the south and from the north: dark in one only is shadow.
+            let (south, north) = (lone_box(height, at(180.0)), lone_box(height, at(0.0)));
+            let (side, metres) = (320, 80.0);
+            let pixels = PixelPositions::square(&south.frame, side, [0.0; 2], metres);
+            let pictures = [&south, &north].map(|s| s.render(&pixels, 1));
+            let brightness = |p: &[u8], row: usize| f64::from(p[3 * (row * side + side / 2)]);
+            let pixel = metres / side as f64;
+            // Up from the northern wall, 4 m north of the middle.
+            let wall = (side as f64 / 2.0 - 4.0 / pixel) as usize;
+            let dark = (0..wall)
+                .rev()
+                .take_while(|row| {
+                    brightness(&pictures[0], *row) < 0.75 * brightness(&pictures[1], *row)
+                })
+                .count();
+            let (sin, cos) = libm::sincos(elevation.to_radians());
+            let expected = height * cos / sin / pixel;
+            assert!((dark as f64 - expected).abs() <= 1.0, "{dark} {expected}");
+        }
+    }
+
+    #[test]
+    fn a_panorama_looks_north_in_the_middle_and_sees_a_roofs_edge_at_its_angle() {
+        let scene = lone_box(12.0, None);
+        let width = 720;
+        // 21 m south of the middle: the wall is 17 m to the north.
+        let at = scene.frame.from_ground([0.0, -21.0]);
+        let view = scene.panorama(at, 2.5, width);
+        let sky = |column: usize, row: usize| view.sky[row * width + column] == 255;
+        let rows = |column: usize| (0..width / 2).take_while(|row| sky(column, *row)).count();
+        let scale = (17.0 * scene.frame.scale(), 12.0 - 2.5);
+        let angle = libm::atan2(scale.1, scale.0).to_degrees();
+        // Half a degree a pixel.
+        let expected = (90.0 - angle) * 2.0;
+        assert!((rows(width / 2) as f64 - expected).abs() <= 1.0, "{} {expected}", rows(width / 2));
+        // The wall ends 5 m to each side: 16.4 degrees from north.
+        let half = libm::atan2(5.0, 17.0).to_degrees() * 2.0;
+        let open = |column: usize| sky(column, width / 4 - 4);
+        let east = (width / 2..width).take_while(|c| !open(*c)).count() as f64;
+        let west = (0..width / 2).rev().take_while(|c| !open(*c)).count() as f64;
+        assert!((east - half).abs() <= 1.0 && (west - half).abs() <= 1.0, "{east} {west} {half}");
+        // Elsewhere the level ground ends at the horizon.
+        for column in [0, width / 8, width * 7 / 8] {
+            assert!(rows(column).abs_diff(width / 4) <= 1, "{}", rows(column));
+        }
+    }
+
+    #[test]
+    fn the_ground_is_met_where_a_fine_search_meets_it() {
+        let mut spec = SceneSpec::default();
+        spec.terrain.relief_metres = 30.0;
+        spec.terrain.wavelength_metres = 150.0;
+        let scene = Scene::new(spec, &Options::default()).expect("a scene");
+        let mut met = 0;
+        for i in 0..300 {
+            let mut draw = crate::random::Draw::new(&[31, i]);
+            let (x, y) = (draw.range(-90.0, 90.0), draw.range(-90.0, 90.0));
+            let (e, a) = (draw.range(-1.5, 0.2), draw.range(0.0, 6.3));
+            let step = [libm::cos(e) * libm::sin(a), libm::cos(e) * libm::cos(a), libm::sin(e)];
+            let ray = Ray { from: [x, y, scene.ground(x, y) + 2.5], step };
+            let expected = (1..12_000).map(|k| f64::from(k) * 0.01).find(|t| {
+                let [x, y, z] = ray.at(*t);
+                z < scene.ground(x, y)
+            });
+            let found = scene.ground_along(&ray).map(|g| g.0);
+            if let Some(expected) = expected {
+                met += 1;
+                // A grazing ray touches a little earlier than it goes under.
+                let found = found.expect("the ground");
+                assert!(found <= expected + 1e-3, "{found} {expected}");
+                let [x, y, z] = ray.at(found);
+                assert!((z - scene.ground(x, y)).abs() < 1e-3);
+            } else {
+                assert!(found.is_none_or(|t| t > 119.0), "{found:?}");
+            }
+        }
+        assert!(met > 150, "{met}");
+    }
+}

@@ -105,6 +105,15 @@ impl Scene {
         })
     }
 
+    /// The same scene with other solids, at both epochs.
+    #[cfg(test)]
+    pub(super) fn with_objects(mut self, objects: Vec<super::object::Object>) -> Self {
+        let reach = reach(&self.spec);
+        let world = Arc::new(World::new(objects, Bounds::around(0.0, 0.0, reach)));
+        self.worlds = [Arc::clone(&world), world];
+        self
+    }
+
     /// The solids of an epoch.
     #[must_use]
     pub fn world(&self, epoch: Epoch) -> &World {

@@ -2,7 +2,7 @@
 
 use super::factory::parameters;
 use super::run::Prepared;
-use super::settings::{DataSource, ModelKind};
+use super::settings::{DataSource, ModelKind, ObjectiveKind};
 use crate::plan::{Bound, Plan, Step};
 use serde_json::Map;
 
@@ -43,6 +43,18 @@ pub fn plan(prepared: &Prepared) -> Plan {
     }
     let rate =
         settings.objective().map_or_else(|_| String::new(), |objective| objective.optimiser());
+    if settings.objective.kind == ObjectiveKind::Paper {
+        let given = !settings.objective.lpips.is_empty();
+        let (form, reason) = match given {
+            true => ("LPIPS (VGG16)", "the weights that objective.lpips names"),
+            false => (
+                "substitute for LPIPS: structure and edges, no learned weights",
+                "objective.lpips names no weights; results do not compare with those that used LPIPS",
+            ),
+        };
+        let cost = "two passes through VGG16 for each picture, where given";
+        steps.push(step("perceptual", true, form.to_owned(), [cost, "objective.lpips", reason]));
+    }
     let images = run.steps * run.batch as u64;
     steps.push(step(
         "optimise",

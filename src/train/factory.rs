@@ -3,7 +3,9 @@
 use super::settings::{ModelKind, Objective, Settings};
 use crate::model::config::RELEASED;
 use crate::model::train::mini::MiniSettings;
-use crate::model::train::{Class, HeightLearner, Learner, PaperLearner, PaperSettings, TrainError};
+use crate::model::train::{
+    Class, HeightLearner, Learner, PaperLearner, PaperSettings, PerceptualMeasure, TrainError,
+};
 use crate::model::weights::{Checkpoint, expected};
 use crate::model::{Config, Device, ModelError};
 
@@ -37,11 +39,23 @@ pub fn learner(
             "model.kind",
             "true heights are learnt by the small model; give kind = \"mini\", or objective.kind = \"paper\"",
         )),
-        (ModelKind::Mini, Objective::Paper(_)) => Err(refused(
-            "model.kind",
-            "the paper's objective is learnt by the network of the release; give kind = \"reference\"",
-        )),
+        (ModelKind::Mini, Objective::Paper(paper)) => {
+            let paper = with_measure(settings, *paper);
+            Ok(Box::new(PaperLearner::mini(&mini(settings), *device, paper)?))
+        }
     }
+}
+
+/// By what pictures are held against each other: LPIPS with the user's weights where `objective.lpips` names
+/// them, what the paper's settings say, or the substitute, which `--explain` and the log name.
+fn with_measure(settings: &Settings, mut paper: PaperSettings) -> PaperSettings {
+    let files = &settings.objective.lpips;
+    if !files.is_empty() {
+        paper.perceptual = PerceptualMeasure::Lpips(files.clone());
+    } else if paper.perceptual == PerceptualMeasure::default() {
+        paper.perceptual = PerceptualMeasure::Substitute;
+    }
+    paper
 }
 
 fn mini(settings: &Settings) -> MiniSettings {
@@ -62,12 +76,13 @@ fn reference(
         });
     };
     let source = Checkpoint::open(start)?;
+    let paper = with_measure(settings, paper);
     let config = match &settings.model.config {
         Some(path) => std::fs::read_to_string(path)
             .map_err(|source| ModelError::Io { path: path.clone(), source })?,
         None => RELEASED.to_owned(),
     };
-    Ok(Box::new(PaperLearner::new(&config, &source, device, paper, None)?))
+    Ok(Box::new(PaperLearner::new(&config, &source, device, paper)?))
 }
 
 /// Parameters of the network, where they can be told without making it.

@@ -16,6 +16,7 @@ pub struct Live {
     bar: ProgressBar,
     /// When the last plain line was written; `None` when a bar is drawn or progress is off.
     plain: Option<Instant>,
+    quiet: bool,
     steps: u64,
     /// Step at which this session began, and when.
     first: u64,
@@ -39,7 +40,7 @@ impl Live {
         bar.set_position(step);
         let started = Instant::now();
         let plain = (!quiet && !terminal).then_some(started);
-        Self { bar, plain, steps, first: step, started, images: 0, loss: None }
+        Self { bar, plain, quiet, steps, first: step, started, images: 0, loss: None }
     }
 
     /// After a step.
@@ -68,8 +69,11 @@ impl Live {
         text
     }
 
-    /// Prints a line without tearing the bar.
+    /// Prints a line without tearing the bar; nothing when only errors are wanted.
     pub fn line(&self, text: &str) {
+        if self.quiet {
+            return;
+        }
         self.bar.suspend(|| {
             // A closed standard error must not end the training.
             let _ = writeln!(std::io::stderr(), "{text}");

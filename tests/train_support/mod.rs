@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// What a toy does beside learning.
-#[derive(Clone, Default)]
+#[derive(Clone)]
 pub struct Habits {
     /// Time that a step takes.
     pub pause: Duration,
@@ -29,7 +29,7 @@ pub struct Habits {
 }
 
 pub fn habits() -> Habits {
-    Habits { not_finite: |_| false, ..Habits::default() }
+    Habits { pause: Duration::ZERO, not_finite: |_| false, stops: None, ballast: 0 }
 }
 
 /// Follows the mean colour and height of its examples.
@@ -173,7 +173,7 @@ batch = 3
 seed = 11
 checkpoint_every = 6
 log_every = 4
-preview_every = 8
+preview_every = 12
 keep = 2
 threads = 2
 "#;

@@ -2,17 +2,19 @@
 //! of a seed and an index, and its heights are exact.
 //!
 //! * [`RandomScenes`]: kinds of place, and the [`SceneSpec`] of each scene ([`draw`]).
-//! * [`Sample`]: a square picture with its heights and classes.
+//! * [`Sample`]: a square picture with its heights and classes; [`Street`]: a panorama in it.
 
 mod draw;
 mod sample;
+mod street;
 
-pub use sample::Sample;
+pub use sample::{Crop, Sample};
+pub use street::{Street, draw_position};
 
 use super::error::SceneError;
 use super::spec::SceneSpec;
 use super::surface::Scene;
-use crate::random::key;
+use crate::random::{Draw, key};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -21,6 +23,7 @@ mod purpose {
     pub const KIND: u64 = 1;
     pub const SCENE: u64 = 2;
     pub const PLACE: u64 = 3;
+    pub const STREET: u64 = 4;
 }
 
 /// What kind of place a scene shows.
@@ -129,15 +132,46 @@ impl RandomScenes {
         draw::spec(self, index, metres)
     }
 
+    /// A scene, just large enough for a square of `metres` about its centre.
+    ///
+    /// # Errors
+    /// [`SceneError`] if the scene cannot be laid out.
+    pub fn scene(&self, index: u64, metres: f64) -> Result<Scene, SceneError> {
+        Scene::new(self.spec_for(index, metres), &super::Options::default())
+    }
+
     /// One training sample: a square of `side` pixels and `metres` ground metres about the scene's
     /// centre, true north up.
     ///
     /// # Errors
     /// [`SceneError`] if the scene cannot be laid out.
     pub fn sample(&self, index: u64, side: usize, metres: f64) -> Result<Sample, SceneError> {
-        let spec = self.spec_for(index, metres);
-        let scene = Scene::new(spec, &super::Options::default())?;
-        Ok(Sample::new(&scene, self.kind(index), side, metres))
+        let scene = self.scene(index, metres)?;
+        Ok(Sample::new(&scene, self.kind(index), side, &Crop::centred(metres)))
+    }
+
+    /// A panorama of `width` columns in the same square as [`Self::sample`] shows, at a position (down and right
+    /// of its middle, -1 to 1) or, without one, at a drawn place: on a street if one passes through the square,
+    /// else on open ground; `None` where there is neither.
+    ///
+    /// # Errors
+    /// [`SceneError`] if the scene cannot be laid out.
+    pub fn street(
+        &self,
+        index: u64,
+        metres: f64,
+        position: Option<[f64; 2]>,
+        width: usize,
+    ) -> Result<Option<Street>, SceneError> {
+        let scene = self.scene(index, metres)?;
+        let crop = Crop::centred(metres);
+        Ok(match position {
+            Some(position) => Some(Street::at(&scene, &crop, position, width)),
+            None => {
+                let draw = &mut Draw::new(&[self.seed, index, purpose::STREET]);
+                Street::drawn(&scene, &crop, draw, width)
+            }
+        })
     }
 }
 

@@ -1,9 +1,36 @@
 //! A square picture of a scene with its heights and classes.
 
 use super::Kind;
+use crate::scene::frame::Frame;
 use crate::scene::object::{Class, Epoch};
 use crate::scene::pixels::PixelPositions;
 use crate::scene::surface::Scene;
+
+/// A square of a scene, true north up.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Crop {
+    /// Its middle, ground metres east of the scene's centre.
+    pub east: f64,
+    /// Its middle, ground metres north of the scene's centre.
+    pub north: f64,
+    /// Its side, ground metres.
+    pub metres: f64,
+}
+
+impl Crop {
+    /// The square of a side about the scene's centre.
+    #[must_use]
+    pub const fn centred(metres: f64) -> Self {
+        Self { east: 0.0, north: 0.0, metres }
+    }
+
+    /// The point of the local frame at a position: down and right of the crop's middle, -1 to 1.
+    #[must_use]
+    pub fn local(&self, frame: &Frame, position: [f64; 2]) -> [f64; 2] {
+        let half = self.metres / 2.0;
+        frame.from_ground([self.east + half * position[1], self.north - half * position[0]])
+    }
+}
 
 /// A square picture with exact heights; row 0 is the northernmost.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,12 +54,15 @@ pub struct Sample {
 }
 
 impl Sample {
-    /// Samples a square of `side` pixels and `metres` ground metres about the centre of a scene.
-    /// Heights are those of the lidar's time, when broad-leaved trees bear leaves.
+    /// Samples a square of a scene on `side` pixels. Heights are those of the lidar's time, when broad-leaved
+    /// trees bear leaves; what is thinner than a lidar cell (wires, fences) is not in them.
     #[must_use]
-    pub fn new(scene: &Scene, kind: Kind, side: usize, metres: f64) -> Self {
-        let pixels = PixelPositions::square(&scene.frame, side, metres);
-        let rgb = scene.render(&pixels, scene.spec.seed);
+    pub fn new(scene: &Scene, kind: Kind, side: usize, crop: &Crop) -> Self {
+        let pixels =
+            PixelPositions::square(&scene.frame, side, [crop.east, crop.north], crop.metres);
+        let seed = [crop.east, crop.north, crop.metres].map(f64::to_bits);
+        let seed = crate::random::key(&[scene.spec.seed, seed[0], seed[1], seed[2]]);
+        let rgb = scene.render(&pixels, seed);
         let count = side * side;
         let (mut top, mut low) = (Vec::with_capacity(count), Vec::with_capacity(count));
         let mut classes = Vec::with_capacity(count);

@@ -9,7 +9,7 @@ fn a_sample_is_the_scene_at_the_pixel_centres() {
     for index in 0..24 {
         let sample = SCENES.sample(index, 24, 64.0).expect("a sample");
         let scene = Scene::new(SCENES.spec_for(index, 64.0), &Options::default()).expect("a scene");
-        let pixels = PixelPositions::square(&scene.frame, 24, 64.0);
+        let pixels = PixelPositions::square(&scene.frame, 24, [0.0; 2], 64.0);
         let mut mean = 0.0;
         for i in 0..24 * 24 {
             let [x, y] = pixels.row(i / 24)[i % 24];
@@ -32,7 +32,7 @@ fn a_sample_is_the_scene_at_the_pixel_centres() {
 #[test]
 fn true_north_is_up_and_a_pixel_is_a_ground_length() {
     let scene = Scene::new(SCENES.spec(3), &Options::default()).expect("a scene");
-    let pixels = PixelPositions::square(&scene.frame, 65, 65.0);
+    let pixels = PixelPositions::square(&scene.frame, 65, [0.0; 2], 65.0);
     let [x, y] = pixels.row(32)[32];
     assert!(libm::hypot(x, y) < 1e-9);
     let [top, right] = [pixels.row(0)[32], pixels.row(32)[64]];
@@ -72,4 +72,55 @@ fn the_same_bytes_for_any_number_of_threads() {
     assert_eq!(one, sample(3));
     assert_ne!(one, SCENES.sample(12, 96, 64.0).expect("a sample"));
     assert_ne!(one.rgb, RandomScenes { seed: 8 }.sample(11, 96, 64.0).expect("a sample").rgb);
+}
+
+#[test]
+fn a_crop_is_a_part_of_the_whole() {
+    let scene = SCENES.scene(4, 130.0).expect("a scene");
+    let whole = Sample::new(&scene, Kind::Mixed, 130, &Crop::centred(130.0));
+    let crop = Crop { east: 20.0, north: -13.0, metres: 50.0 };
+    let part = Sample::new(&scene, Kind::Mixed, 50, &crop);
+    let mut worst = 0.0_f64;
+    for row in 0..50 {
+        for column in 0..50 {
+            // Middle of the part: 85 pixels from the west, 78 from the north.
+            let i = (row + 78 - 25) * 130 + column + 85 - 25;
+            let there = f64::from(whole.surface[i]) + whole.datum;
+            let here = f64::from(part.surface[row * 50 + column]) + part.datum;
+            worst = worst.max((there - here).abs());
+        }
+    }
+    assert!(worst < 1e-5, "{worst}");
+    // Its middle, and its north-eastern corner.
+    let middle = crop.local(&scene.frame, [0.0, 0.0]);
+    let corner = crop.local(&scene.frame, [-1.0, 1.0]);
+    assert_eq!(middle, scene.frame.from_ground([20.0, -13.0]));
+    assert_eq!(corner, scene.frame.from_ground([45.0, 12.0]));
+}
+
+#[test]
+fn a_street_view_stands_free_and_its_sky_is_where_no_ray_ends() {
+    let (mut on_street, mut found) = (0, 0);
+    for index in 0..30 {
+        let Some(street) = SCENES.street(index, 64.0, None, 32).expect("a scene") else {
+            continue;
+        };
+        found += 1;
+        on_street += u32::from(street.on_street);
+        assert!(street.position.iter().all(|p| p.abs() <= 1.0));
+        let scene = SCENES.scene(index, 64.0).expect("a scene");
+        let [x, y] = Crop::centred(64.0).local(&scene.frame, street.position);
+        assert!(!scene.terrain.at(x, y).water);
+        if street.on_street {
+            assert!(scene.is_street(x, y));
+        }
+        // The zenith is open or a crown; the nadir is never sky.
+        let sky = &street.panorama.sky;
+        assert_eq!(sky.len(), 32 * 16);
+        assert!(sky[32 * 15..].iter().all(|s| *s == 0));
+        assert!(sky.iter().all(|s| [0, 255].contains(s)));
+        let again = SCENES.street(index, 64.0, Some(street.position), 32).expect("a scene");
+        assert_eq!(again.expect("a view"), street);
+    }
+    assert!(found >= 27 && on_street >= 18, "{found} {on_street}");
 }

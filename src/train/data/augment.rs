@@ -26,6 +26,35 @@ impl Symmetry {
         let (x, y) = if self.0 & 2 > 0 { (x, last - y) } else { (x, y) };
         if self.0 & 4 > 0 { (y, x) } else { (x, y) }
     }
+
+    /// Where a point of the source comes to lie: offsets from the middle, right and down.
+    pub(super) fn moved(self, [right, down]: [f64; 2]) -> [f64; 2] {
+        let [x, y] = if self.0 & 4 > 0 { [down, right] } else { [right, down] };
+        [if self.0 & 1 > 0 { -x } else { x }, if self.0 & 2 > 0 { -y } else { y }]
+    }
+
+    /// The column of a panorama (whose middle looks north) that a column of the turned one shows. `width` is a
+    /// multiple of four.
+    pub(super) const fn panorama_column(self, column: usize, width: usize) -> usize {
+        // The source's quarter that the target's north shows, and that its east shows.
+        let north = self.quarter(0, -1);
+        let mirrored = self.quarter(1, 0) != (north + 1) % 4;
+        let from = if mirrored { width - 1 - column } else { column };
+        (from + north * (width / 4)) % width
+    }
+
+    /// The quarter (0 north, 1 east) of the source that a direction of the target shows.
+    const fn quarter(self, right: i8, down: i8) -> usize {
+        let right = if self.0 & 1 > 0 { -right } else { right };
+        let down = if self.0 & 2 > 0 { -down } else { down };
+        let (right, down) = if self.0 & 4 > 0 { (down, right) } else { (right, down) };
+        match (right, down) {
+            (0, -1) => 0,
+            (1, 0) => 1,
+            (0, 1) => 2,
+            _ => 3,
+        }
+    }
 }
 
 /// A square window in a larger square, and how it is turned.
@@ -56,6 +85,31 @@ impl Crop {
         let (x, y) = (draw.index(room), draw.index(room));
         let symmetry = Symmetry::draw(draw);
         Self { x, y, side, whole, symmetry: if symmetries { symmetry } else { Symmetry::NONE } }
+    }
+
+    /// Anywhere with a place in it, at least an eighth of its side from the border where the larger square allows.
+    pub(super) fn around(
+        [column, row]: [usize; 2],
+        whole: usize,
+        side: usize,
+        symmetries: bool,
+        draw: &mut Draw,
+    ) -> Self {
+        let mut first = |at: usize| {
+            let high = at.saturating_sub(side / 8).min(whole - side);
+            let low = (at + side / 8 + 1).saturating_sub(side).min(high);
+            low + draw.index(high - low + 1)
+        };
+        let (x, y) = (first(column), first(row));
+        let symmetry = Symmetry::draw(draw);
+        Self { x, y, side, whole, symmetry: if symmetries { symmetry } else { Symmetry::NONE } }
+    }
+
+    /// Where a place of the larger square lies in the turned window: right and down of its middle, half sides.
+    pub(super) fn place(self, [column, row]: [f64; 2]) -> [f64; 2] {
+        let half = self.side as f64 / 2.0;
+        let offset = |at: f64, first: usize| (at - first as f64) / half - 1.0;
+        self.symmetry.moved([offset(column, self.x), offset(row, self.y)])
     }
 
     /// The pixels of the window in the order of the target's rows, as indices into the larger square.
@@ -132,6 +186,47 @@ mod tests {
         assert!(first && last);
         let centre = Crop::centre(20, 16);
         assert_eq!(centre.indices().next(), Some(2 * 20 + 2));
+    }
+
+    #[test]
+    fn a_landmark_stays_where_the_panorama_shows_it() {
+        // Columns of the panorama hold their azimuth; a landmark is one pixel of the image.
+        let (side, width) = (64, 720);
+        let (camera, landmark) = ([40, 20], [9, 51]);
+        let azimuth = |[x, y]: [f64; 2]| libm::atan2(x, -y).to_degrees().rem_euclid(360.0);
+        let between = |a: [usize; 2], b: [usize; 2]| {
+            azimuth([b[0] as f64 - a[0] as f64, b[1] as f64 - a[1] as f64])
+        };
+        let column_of = |azimuth: f64| ((azimuth / 360.0 + 0.5).fract() * width as f64) as usize;
+        let true_column = column_of(between(camera, landmark));
+        for symmetry in Symmetry::ALL {
+            let crop = Crop { symmetry, ..Crop::centre(side, side) };
+            let image: Vec<usize> = crop.indices().collect();
+            let find = |[x, y]: [usize; 2]| {
+                let at = image.iter().position(|index| *index == y * side + x).expect("is there");
+                [at % side, at / side]
+            };
+            let [x, y] = crop.place(camera.map(|v| v as f64 + 0.5));
+            let pixel = [x, y].map(|v| ((v + 1.0) * side as f64 / 2.0 - 0.5) as usize);
+            assert_eq!(pixel, find(camera), "{symmetry:?}");
+            let seen = column_of(between(find(camera), find(landmark)));
+            let from = symmetry.panorama_column(seen, width);
+            assert!(from.abs_diff(true_column) <= 1, "{symmetry:?}: {from}, not {true_column}");
+        }
+    }
+
+    #[test]
+    fn crops_around_a_place_hold_it() {
+        let mut draw = Draw::new(&[4]);
+        for at in [[0, 0], [63, 63], [20, 41], [32, 5]] {
+            for _ in 0..50 {
+                let crop = Crop::around(at, 64, 32, true, &mut draw);
+                assert!(crop.x + 32 <= 64 && crop.y + 32 <= 64);
+                let place = crop.place(at.map(|v| v as f64 + 0.5));
+                assert!(place.iter().all(|v| v.abs() < 1.0), "{at:?} {crop:?}");
+            }
+        }
+        assert_eq!(Crop::around([5, 9], 32, 32, false, &mut draw), Crop::centre(32, 32));
     }
 
     #[test]

@@ -19,7 +19,7 @@ pub use simulated::Simulated;
 pub use vigor::Vigor;
 
 use super::error::TrainingError;
-use super::settings::{DataSource, Settings};
+use super::settings::{DataSource, ObjectiveKind, Settings};
 use crate::model::train::Example;
 use serde_json::Value;
 use std::path::PathBuf;
@@ -133,6 +133,9 @@ pub fn open(settings: &Settings) -> Result<Arc<dyn Source>, TrainingError> {
     let seed = settings.run.seed;
     match (settings.data.source, &settings.data.vigor) {
         (DataSource::Vigor, Some(vigor)) => Ok(Arc::new(Vigor::open(vigor, seed)?)),
-        _ => Ok(Arc::new(Simulated::new(&settings.data.simulated, seed))),
+        _ => {
+            let street = settings.objective.kind == ObjectiveKind::Paper;
+            Ok(Arc::new(Simulated::new(&settings.data.simulated, seed, street)))
+        }
     }
 }

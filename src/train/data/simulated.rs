@@ -4,9 +4,10 @@
 //! colours depend on the seed and the draw alone.
 
 use super::augment::{Colours, Crop};
-use super::scenes::{Make, Rendered, Scenes, Series, random_city};
+use super::scenes::{Make, Rendered, Scenes, Series, StreetView, random_city};
 use super::{Order, Skip, SkipReason, Source};
-use crate::model::train::{Class, Example, Truth};
+use crate::model::train::mini::METRES_PER_UNIT;
+use crate::model::train::{Class, Example, Street, Truth};
 use crate::model::{Grid, Image8};
 use crate::random::Draw;
 use crate::train::settings::SimulatedSettings;
@@ -16,6 +17,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 /// Purpose of the crops' random numbers.
 const PURPOSE: u64 = 0xC20F;
+
+/// Height of the release's street camera in the cube, before scaling.
+const CAMERA_Z: f64 = -0.85;
 
 /// A place of the pool: the scene that it holds, by number.
 type Slot = Mutex<Option<(u64, Arc<Rendered>)>>;
@@ -32,22 +36,34 @@ pub struct Simulated {
 }
 
 impl Simulated {
-    /// Of checked settings; `seed` is the training's.
+    /// Of checked settings; `seed` is the training's. `street` says whether panoramas are wanted.
     #[must_use]
-    pub fn new(settings: &SimulatedSettings, seed: u64) -> Self {
-        Self::of(settings, seed, || Box::new(random_city))
+    pub fn new(settings: &SimulatedSettings, seed: u64, street: bool) -> Self {
+        let views = if street { settings.views } else { 0 };
+        Self::of(&SimulatedSettings { views, ..settings.clone() }, seed, || Box::new(random_city))
     }
 
     /// As [`Simulated::new`], with another maker of scenes.
     fn of(settings: &SimulatedSettings, seed: u64, make: impl Fn() -> Box<Make>) -> Self {
-        let series = |seed| Series { seed, side: settings.scene_side, pixel_m: settings.pixel_m };
+        let series = |seed| Series {
+            seed,
+            side: settings.scene_side,
+            pixel_m: settings.pixel_m,
+            views: settings.views,
+            panorama: settings.panorama_width,
+        };
         let cache = settings.cache.as_deref();
-        let room = (settings.memory_mib << 20) / Rendered::bytes(settings.scene_side);
+        let room = (settings.memory_mib << 20) / Rendered::bytes(&series(0));
         Self {
             seed,
             order: Order::new(seed, settings.scenes),
             scenes: Scenes::new(series(settings.seed), make(), cache),
-            held_out: Scenes::new(series(settings.held_out_seed), make(), cache),
+            held_out: Scenes::new(
+                // Looked at from above alone.
+                Series { views: 0, ..series(settings.held_out_seed) },
+                make(),
+                cache,
+            ),
             slots: (0..room.min(settings.scenes)).map(|_| Slot::default()).collect(),
             settings: settings.clone(),
         }
@@ -90,9 +106,14 @@ impl Source for Simulated {
         let scene = self.scene(pass, place)?;
         let mut random = Draw::new(&[self.seed, PURPOSE, draw]);
         let settings = &self.settings;
-        let crop = Crop::draw(scene.side, settings.side, settings.symmetries, &mut random);
+        let (whole, side, symmetries) = (scene.side, settings.side, settings.symmetries);
+        let view = scene.views.get(random.index(scene.views.len()));
+        let crop = match view {
+            Some(view) => Crop::around(view.at, whole, side, symmetries, &mut random),
+            None => Crop::draw(whole, side, symmetries, &mut random),
+        };
         let colours = Colours::draw(settings.colour, &mut random);
-        Ok(cut(&scene, crop, &colours, format!("scene {place}, draw {draw}")))
+        Ok(cut(&scene, crop, view, &colours, format!("scene {place}, draw {draw}")))
     }
 
     fn held_out(&self, count: usize) -> Vec<Example> {
@@ -102,7 +123,7 @@ impl Source for Simulated {
             .filter_map(|index| {
                 let scene = self.held_out.get(index).ok()?;
                 let crop = Crop::centre(scene.side, self.settings.side);
-                Some(cut(&scene, crop, &same, format!("held-out scene {index}")))
+                Some(cut(&scene, crop, None, &same, format!("held-out scene {index}")))
             })
             .collect()
     }
@@ -112,21 +133,32 @@ impl Source for Simulated {
         json!({
             "seed": s.seed, "scenes": s.scenes, "passes": s.passes, "scene_side": s.scene_side,
             "side": s.side, "pixel_m": s.pixel_m, "symmetries": s.symmetries, "colour": s.colour,
-            "held_out_seed": s.held_out_seed,
+            "held_out_seed": s.held_out_seed, "views": s.views,
+            "panorama_width": (s.views > 0).then_some(s.panorama_width),
         })
     }
 
     fn describe(&self) -> String {
         let s = &self.settings;
+        let street = match s.views {
+            0 => String::new(),
+            views => format!(", {views} panoramas of {} px each", s.panorama_width),
+        };
         format!(
-            "{} simulated scenes of {} px ({} m a pixel), crops of {} px",
+            "{} simulated scenes of {} px ({} m a pixel){street}, crops of {} px",
             s.scenes, s.scene_side, s.pixel_m, s.side
         )
     }
 }
 
 /// The example that a window of a scene makes.
-fn cut(scene: &Rendered, crop: Crop, colours: &Colours, name: String) -> Example {
+fn cut(
+    scene: &Rendered,
+    crop: Crop,
+    view: Option<&StreetView>,
+    colours: &Colours,
+    name: String,
+) -> Example {
     let (side, area) = (crop.side, crop.side * crop.side);
     let mut rgb = Vec::with_capacity(3 * area);
     let mut surface = Vec::with_capacity(area);
@@ -148,7 +180,41 @@ fn cut(scene: &Rendered, crop: Crop, colours: &Colours, name: String) -> Example
         satellite: Image8 { width: side, height: side, channels: 3, data: rgb },
         depth: Some(Grid::new(1, side, side, depth)),
         truth: Some(Truth { surface: Grid::new(1, side, side, surface), classes }),
-        street: None,
+        street: view.map(|view| street(scene, crop, view, ground, colours)),
+    }
+}
+
+/// A panorama turned as its crop is; `ground` is the height that the crop's heights count from.
+fn street(
+    scene: &Rendered,
+    crop: Crop,
+    view: &StreetView,
+    ground: f64,
+    colours: &Colours,
+) -> Street {
+    let height = (view.sky.len() / 2).isqrt();
+    let width = 2 * height;
+    let columns: Vec<usize> =
+        (0..width).map(|column| crop.symmetry.panorama_column(column, width)).collect();
+    let mut rgb = Vec::with_capacity(3 * width * height);
+    let mut sky = Vec::with_capacity(width * height);
+    for row in 0..height {
+        for column in &columns {
+            let from = row * width + column;
+            rgb.extend(colours.of([0, 1, 2].map(|channel| view.rgb[3 * from + channel])));
+            sky.push(view.sky[from]);
+        }
+    }
+    let [column, row] = view.at;
+    let [right, down] = crop.place([column as f64 + 0.5, row as f64 + 0.5]);
+    // The camera of the release stands 2.5 m over the mean bare earth; this one over its own.
+    let rise = f64::from(scene.ground[row * scene.side + column]) - ground;
+    let z = CAMERA_Z + rise / f64::from(METRES_PER_UNIT);
+    let image = |channels, data| Image8 { width, height, channels, data };
+    Street {
+        panorama: image(3, rgb),
+        sky: image(1, sky),
+        position: [down as f32, right as f32, z as f32],
     }
 }
 
@@ -197,6 +263,7 @@ mod tests {
             ground: (0..area).map(|i| at(i).1 * 0.5 + index as f32).collect(),
             surface: (0..area).map(|i| at(i).1 * 0.5 + at(i).0 + index as f32).collect(),
             classes: (0..area).map(|i| (i % 4) as u8).collect(),
+            views: Vec::new(),
         })
     }
 
@@ -265,6 +332,7 @@ mod tests {
                 surface: (0..area).map(|i| (i % 200) as f32).collect(),
                 ground: vec![0.0; area],
                 classes: (0..area).map(|i| (i % 200 % 4) as u8).collect(),
+                views: Vec::new(),
             })
         };
         let settings = SimulatedSettings { colour: 0.0, ..settings() };
@@ -282,12 +350,43 @@ mod tests {
     #[test]
     fn held_out_scenes_are_others() {
         let source =
-            Simulated::new(&SimulatedSettings { scene_side: 64, side: 64, ..settings() }, 0);
+            Simulated::new(&SimulatedSettings { scene_side: 64, side: 64, ..settings() }, 0, false);
         let held_out = source.held_out(3);
         assert_eq!(held_out.len(), 3);
         assert_eq!(source.held_out(3), held_out);
         let learnt: Vec<Example> = (0..8).map(|d| source.example(d, 0).expect("is")).collect();
         assert!(held_out.iter().all(|h| learnt.iter().all(|l| l.truth != h.truth)));
+    }
+
+    #[test]
+    fn panoramas_of_a_real_scene_see_its_sky_and_stand_in_its_streets() {
+        let settings = SimulatedSettings {
+            scenes: 2,
+            scene_side: 96,
+            side: 64,
+            pixel_m: 0.6,
+            views: 2,
+            panorama_width: 32,
+            ..SimulatedSettings::default()
+        };
+        let source = Simulated::new(&settings, 3, true);
+        let mut streets = 0;
+        for draw in 0..6 {
+            let example = source.example(draw, 0).expect("is");
+            let Some(street) = example.street else { continue };
+            streets += 1;
+            assert_eq!((street.panorama.width, street.panorama.height), (32, 16));
+            assert_eq!(street.sky.data.len(), 32 * 16);
+            // The zenith is sky and the nadir is not, but under a crown.
+            assert_eq!(street.sky.data[31 * 16], 0);
+            let [down, right, z] = street.position;
+            assert!(
+                down.abs() < 1.0 && right.abs() < 1.0 && (z + 0.85).abs() < 0.5,
+                "{down} {right} {z}"
+            );
+        }
+        assert!(streets > 0);
+        assert!(Simulated::new(&settings, 3, false).example(0, 0).expect("is").street.is_none());
     }
 
     #[test]

@@ -187,16 +187,18 @@ fn pictures(out: &Path, until: u64) -> String {
     let Some(last) = known.last() else { return String::new() };
     let mut html = String::from(
         "<p class=note>Predicted by the averaged weights, whose vertical offset is taken out where the truth is known. \
-         Colours are the same in prediction and truth of one example.</p>\n",
+         Colours are the same in prediction and truth of one example, from the 2nd to the 98th percentile of the \
+         truth.</p>\n<div class=examples>\n",
     );
     for index in 0..SHOWN {
         let row = image(&folder, index, "satellite", "satellite")
             + &image(&folder, index, &format!("dsm-{last}"), &format!("predicted, step {last}"))
             + &image(&folder, index, "truth", "truth");
         if !row.is_empty() {
-            let _ = writeln!(html, "<div class=row>{row}</div>");
+            let _ = writeln!(html, "<div class=trio>{row}</div>");
         }
     }
+    html += "</div>\n";
     if known.len() > 1 {
         let picked = (0..STEPS.min(known.len()))
             .map(|i| known[i * (known.len() - 1) / (STEPS.min(known.len()) - 1)]);

@@ -68,6 +68,10 @@ pub struct SimulatedSettings {
     pub symmetries: bool,
     /// Strength of the colour changes: 0 none; 0.1 moves brightness, contrast and tints by about a tenth.
     pub colour: f64,
+    /// Panoramas of each scene, where the objective learns from them; 0 for none.
+    pub views: usize,
+    /// Columns of a panorama; half as many rows.
+    pub panorama_width: usize,
     /// Seed of the held-out scenes; another one than `seed`.
     pub held_out_seed: u64,
     /// Memory for the pool, MiB; scenes that do not fit are made again, or read from `cache`.
@@ -88,6 +92,8 @@ impl Default for SimulatedSettings {
             pixel_m: 0.252,
             symmetries: true,
             colour: 0.1,
+            views: 4,
+            panorama_width: 512,
             held_out_seed: 1_000_003,
             memory_mib: 4096,
             cache: None,
@@ -228,6 +234,13 @@ impl SimulatedSettings {
         }
         if !(0.0..=1.0).contains(&self.colour) {
             return Err(settings.wrong(&key("colour"), self.colour, "from 0 to 1"));
+        }
+        if self.views > 64 {
+            return Err(settings.wrong(&key("views"), self.views, "at most 64"));
+        }
+        if !(8..=8192).contains(&self.panorama_width) || !self.panorama_width.is_multiple_of(8) {
+            let why = "a multiple of 8, from 8 to 8192";
+            return Err(settings.wrong(&key("panorama_width"), self.panorama_width, why));
         }
         if self.seed == self.held_out_seed {
             let why =

@@ -1,6 +1,6 @@
 //! What the weights depend on, and what may differ when a training goes on.
 
-use super::Settings;
+use super::{ObjectiveKind, Settings};
 use crate::batch::OutputFile;
 use crate::model::weights::{WEIGHTS_FILE, locate};
 use crate::train::error::TrainingError;
@@ -20,6 +20,10 @@ impl Settings {
             return Err(self.wrong("objective", self.objective.kind, "cannot be written down"));
         };
         objective.insert("kind".into(), self.objective.kind.name().into());
+        if self.objective.kind == ObjectiveKind::Paper {
+            let files = self.objective.lpips.iter().map(|file| hash(file));
+            objective.insert("lpips".into(), json!(files.collect::<Result<Vec<_>, _>>()?));
+        }
         let config = self.model.config.as_deref().map(hash).transpose()?;
         let start = match &self.model.start {
             Some(folder) => Some(hash(&locate(folder)?.join(WEIGHTS_FILE))?),

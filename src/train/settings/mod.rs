@@ -170,6 +170,7 @@ impl Settings {
         [&mut self.model.config, &mut self.model.start, &mut self.data.simulated.cache]
             .into_iter()
             .flatten()
+            .chain(&mut self.objective.lpips)
             .chain(vigor.into_iter().flat_map(|vigor| {
                 std::iter::once(&mut vigor.folder).chain(vigor.manifest.as_mut())
             }))
@@ -230,6 +231,39 @@ impl Settings {
             {
                 return Err(self.wrong(key, file, "does not exist"));
             }
+        }
+        let model = &self.model;
+        // A setting that would change nothing is a mistake.
+        let idle = match model.kind {
+            ModelKind::Mini => [
+                (
+                    "model.config",
+                    model.config.is_some(),
+                    "is of kind = \"reference\"; sizes of the small network are in model.mini",
+                ),
+                (
+                    "model.start",
+                    model.start.is_some(),
+                    "is of kind = \"reference\"; the small network begins with fresh weights",
+                ),
+            ],
+            ModelKind::Reference => [
+                ("model.mini", model.mini.is_some(), "is of kind = \"mini\""),
+                (
+                    "model.start",
+                    model.start.is_none(),
+                    "the encoder does not learn: name a checkpoint folder that holds its weights",
+                ),
+            ],
+        };
+        if let Some((key, _, why)) = idle.into_iter().find(|(_, wrong, _)| *wrong) {
+            let value = serde_json::to_value(model).unwrap_or_default();
+            let value = value.get(&key["model.".len()..]).cloned().unwrap_or_default();
+            return Err(self.wrong(key, value, why));
+        }
+        if model.kind == ModelKind::Reference && self.objective.kind == ObjectiveKind::Heights {
+            let why = "true heights are learnt by the small network; give kind = \"mini\", or objective.kind = \"paper\"";
+            return Err(self.wrong("model.kind", model.kind, why));
         }
         self.objective.check(self)?;
         self.data.check(self)

@@ -6,6 +6,7 @@ use crate::model::train::{HeightSettings, PaperSettings};
 use crate::train::error::TrainingError;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+use std::path::PathBuf;
 
 /// Which losses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -55,6 +56,9 @@ pub struct ObjectiveSettings {
     /// Changes to [`PaperSettings`].
     #[serde(skip_serializing_if = "Option::is_none")]
     pub paper: Option<toml::Table>,
+    /// Files with the weights of LPIPS, for `kind = "paper"`; without them the perceptual distance is a substitute
+    /// without learned weights, which `--explain` names.
+    pub lpips: Vec<PathBuf>,
 }
 
 /// The numbers of an objective, whole.
@@ -192,7 +196,7 @@ impl Settings {
         let (street, depth) = match (self.data.source, &self.data.vigor) {
             (DataSource::Vigor, Some(vigor)) => (vigor.street, !vigor.depth.is_empty()),
             // Relative depth follows from the true heights.
-            _ => (false, true),
+            _ => (self.data.simulated.views > 0, true),
         };
         Ok(self.objective()?.terms(street, depth))
     }
@@ -213,6 +217,9 @@ impl ObjectiveSettings {
         if let (ObjectiveKind::Heights, Some(form)) = (self.kind, self.form) {
             let why = "belongs to kind = \"paper\"";
             return Err(settings.wrong("objective.form", form, why));
+        }
+        if let Some(missing) = self.lpips.iter().find(|file| !file.is_file()) {
+            return Err(settings.wrong("objective.lpips", missing, "is no file"));
         }
         let terms = settings.terms()?;
         for term in &terms {

@@ -73,6 +73,12 @@ fn what_is_wrong_is_named_with_its_place_and_what_is_served() {
         ("[objective.heights]\nslope = \"a\"", ["`objective.heights.slope` = \"a\"", "f64"]),
         ("[objective.heights]\nsteps = 5", ["`objective.heights.steps` = 5", "`run.steps`"]),
         ("[objective]\nform = \"paper\"", ["`objective.form` = \"paper\"", "belongs to"]),
+        ("[model]\nkind = \"reference\"", ["`model.start` = null", "encoder"]),
+        ("[model]\nconfig = \"/\"", ["`model.config` = \"/\"", "model.mini"]),
+        (
+            "[model]\nkind = \"reference\"\nstart = \"/\"",
+            ["`model.kind` = \"reference\"", "true heights"],
+        ),
         ("[model]\nstart = \"none\"", ["`model.start` = \"/runs/a/none\"", "does not exist"]),
     ] {
         let error = refusal(text);
@@ -155,7 +161,7 @@ fn the_papers_terms_and_what_the_data_hold_for_them() {
     let find = |terms: &[ObjectiveTerm], name: &str| {
         terms.iter().find(|term| term.name == name).expect(name).clone()
     };
-    let release = terms("");
+    let release = terms("[data.simulated]\nviews = 0\n");
     let panorama = find(&release, "weights.panorama");
     assert_eq!((panorama.weight, panorama.lacks), (3.0, Some("the data have no panoramas")));
     assert_eq!(find(&release, "weights.depth").lacks, None);
@@ -164,6 +170,7 @@ fn the_papers_terms_and_what_the_data_hold_for_them() {
     assert_eq!(find(&paper, "weights.gravity").weight, 0.0);
     assert_eq!(find(&paper, "weights.ortho_opacity").weight, 0.0);
     let folder = env!("CARGO_MANIFEST_DIR");
+    assert_eq!(find(&paper, "weights.panorama").lacks, None);
     let vigor = terms(&format!(
         "[data]\nsource = \"vigor\"\nvigor = {{ folder = \"{folder}\", depth = \"\" }}\n"
     ));

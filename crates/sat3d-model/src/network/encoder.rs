@@ -266,8 +266,7 @@ impl RotaryTable {
         let head = config.head();
         let quarter = head / 4;
         let tokens = 1 + config.registers + PATCHES * PATCHES;
-        let place =
-            |index: usize| (2.0 * (index as f64 + 0.5) / PATCHES as f64 - 1.0) * factor;
+        let place = |index: usize| (2.0 * (index as f64 + 0.5) / PATCHES as f64 - 1.0) * factor;
         let frequency =
             |index: usize| libm::pow(config.rope_theta, -(index as f64) * 4.0 / head as f64);
         let mut angles = vec![0.0; (1 + config.registers) * head];

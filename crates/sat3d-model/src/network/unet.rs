@@ -81,33 +81,41 @@ impl NormConv {
         })
     }
 
-    fn forward(&self, input: Tensor<4>, mode: &mut Mode<'_>) -> Tensor<4> {
-        let weight = self.weight.val();
-        let [outputs, _, side, _] = weight.dims();
+    /// The convolution, its norm, then `residual` added and negative values cut off, as wanted.
+    fn forward(
+        &self,
+        input: Tensor<4>,
+        residual: Option<Tensor<4>>,
+        relu: bool,
+        mode: &mut Mode<'_>,
+    ) -> Tensor<4> {
+        let map = plain(input, self.weight.val(), self.stride);
+        let [_, outputs, _, _] = map.dims();
+        let shape = [1, outputs, 1, 1];
         let bias = self.bias.val();
-        let Some(norm) = &self.norm else {
-            let options = ConvOptions::new(
-                [self.stride; 2],
-                [side / 2 * usize::from(self.stride == 1); 2],
-                [1; 2],
-                1,
-            );
-            return module::conv2d(input, weight, Some(bias), options);
-        };
-        let map = plain(input, weight, self.stride);
-        let (mean, variance) = match mode {
-            Mode::Evaluate => (norm.running_mean.val(), norm.running_var.val()),
-            Mode::Train(statistics) => {
-                let (mean, variance) = moments(map.clone());
-                let detached = |tensor: &Tensor<1>| tensor.clone().without_autodiff();
-                statistics.push((norm.path.clone(), detached(&mean), detached(&variance)));
-                (mean, variance)
+        let map = match (&self.norm, mode) {
+            (None, _) => map + bias.reshape(shape),
+            #[cfg(feature = "train")]
+            (Some(norm), Mode::Train(statistics)) => {
+                use crate::train::normalisation::{After, normalise};
+                let after = if relu { After::Relu } else { After::Nothing };
+                let (map, [mean, variance]) =
+                    normalise(map, norm.weight.val(), bias, residual, after);
+                statistics.push((norm.path.clone(), mean, variance));
+                return map;
+            }
+            (Some(norm), _) => {
+                let (mean, variance) = (norm.running_mean.val(), norm.running_var.val());
+                let scale = norm.weight.val() * (variance + NORM_EPSILON).sqrt().recip();
+                let shift = bias - mean * scale.clone();
+                map * scale.reshape(shape) + shift.reshape(shape)
             }
         };
-        let scale = norm.weight.val() * (variance + NORM_EPSILON).sqrt().recip();
-        let shift = bias - mean * scale.clone();
-        let shape = [1, outputs, 1, 1];
-        map * scale.reshape(shape) + shift.reshape(shape)
+        let map = match residual {
+            Some(residual) => map + residual,
+            None => map,
+        };
+        if relu { activation::relu(map) } else { map }
     }
 }
 
@@ -131,21 +139,6 @@ fn plain(input: Tensor<4>, weight: Tensor<4>, stride: usize) -> Tensor<4> {
     module::conv2d(input, weight, None, ConvOptions::new([stride; 2], [side / 2; 2], [1; 2], 1))
 }
 
-/// Mean and variance of each channel over batch and places.
-fn moments(map: Tensor<4>) -> (Tensor<1>, Tensor<1>) {
-    let [batch, channels, height, width] = map.dims();
-    // Of each image first, whose means over equally many places then have the mean of all.
-    let flat: Tensor<3> = map.reshape([batch, channels, height * width]);
-    let over_images = |values: Tensor<3>| -> Tensor<1> {
-        let by_image: Tensor<2> = values.mean_dim(2).reshape([batch, channels]);
-        by_image.mean_dim(0).reshape([channels])
-    };
-    let mean = over_images(flat.clone());
-    let centred = flat - mean.clone().reshape([1, channels, 1]);
-    let variance = over_images(centred.clone() * centred);
-    (mean, variance)
-}
-
 /// Two convolutions around which the input passes.
 #[derive(Module, Debug)]
 pub(crate) struct Block {
@@ -160,8 +153,8 @@ impl Block {
     }
 
     fn forward(&self, input: Tensor<4>, mode: &mut Mode<'_>) -> Tensor<4> {
-        let map = activation::relu(self.conv1.forward(input.clone(), mode));
-        activation::relu(input + self.conv2.forward(map, mode))
+        let map = self.conv1.forward(input.clone(), None, true, mode);
+        self.conv2.forward(map, Some(input), true, mode)
     }
 }
 
@@ -289,11 +282,11 @@ impl UNet {
         let through = |blocks: &[Block], map: Tensor<4>, mode: &mut Mode<'_>| {
             blocks.iter().fold(map, |map, block| block.forward(map, mode))
         };
-        let map = activation::relu(self.stem.forward(images, mode));
+        let map = self.stem.forward(images, None, true, mode);
         let level0 = through(&self.level0, map, mode);
-        let map = activation::relu(self.down1.forward(level0.clone(), mode));
+        let map = self.down1.forward(level0.clone(), None, true, mode);
         let level1 = through(&self.level1, map, mode);
-        let map = activation::relu(self.down2.forward(level1.clone(), mode));
+        let map = self.down2.forward(level1.clone(), None, true, mode);
         let map = through(&self.level2, map, mode);
 
         let [_, deep, rows, columns] = map.dims();
@@ -307,11 +300,11 @@ impl UNet {
         let tokens: Tensor<3> = tokens.reshape([batch, places, deep]).swap_dims(1, 2);
         let map = self.around(tokens.reshape([batch, deep, rows, columns]), 1);
 
-        let map = double(self.up1.forward(map, mode)) + self.around(level1, 2);
+        let map = double(self.up1.forward(map, None, false, mode)) + self.around(level1, 2);
         let map = through(&self.merge1, activation::relu(map), mode);
-        let map = double(self.up0.forward(map, mode)) + self.around(level0, 4);
+        let map = double(self.up0.forward(map, None, false, mode)) + self.around(level0, 4);
         let map = through(&self.merge0, activation::relu(map), mode);
-        texels(self.plane.forward(map, mode))
+        texels(self.plane.forward(map, None, false, mode))
     }
 
     /// The line (`D x N`).

@@ -4,14 +4,14 @@
 //! there are far fewer than points, and its two linear maps to colours are multiplied into one. Where a
 //! point lies between texels is known without gradient, so places and weights are plain numbers.
 
+use super::blend::{Taps, blend};
 use crate::config::Config;
 use crate::error::ModelError;
 use crate::field::{DensityActivation, Representation};
 use crate::network::layers::Linear;
 use crate::network::loader::Loader;
 use burn::module::Module;
-use burn::tensor::{Device, Int, Tensor, TensorData, activation};
-use rayon::prelude::*;
+use burn::tensor::{Device, Tensor, activation};
 
 /// Sizes of a point head.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -88,32 +88,6 @@ pub(crate) struct Table {
     values: Tensor<2>,
 }
 
-/// For each of many points, `COUNT` texels and their weights.
-pub(crate) struct Taps<const COUNT: usize> {
-    index: [Vec<i32>; COUNT],
-    weight: [Vec<f32>; COUNT],
-}
-
-impl<const COUNT: usize> Taps<COUNT> {
-    /// Taps of `points` points.
-    pub(crate) fn of(
-        points: usize,
-        at: impl Fn(usize) -> [(i32, f32); COUNT] + Sync + Send,
-    ) -> Self {
-        let mut index = std::array::from_fn(|_| vec![0; points]);
-        let mut weight = std::array::from_fn(|_| vec![0.0; points]);
-        let all: Vec<[(i32, f32); COUNT]> =
-            (0..points).into_par_iter().with_min_len(4096).map(at).collect();
-        for (point, taps) in all.into_iter().enumerate() {
-            for (tap, (at, share)) in taps.into_iter().enumerate() {
-                index[tap][point] = at;
-                weight[tap][point] = share;
-            }
-        }
-        Self { index, weight }
-    }
-}
-
 impl Table {
     /// A map `channels x rows x columns` as it is.
     pub(crate) fn of_map(map: Tensor<3>) -> Self {
@@ -122,20 +96,8 @@ impl Table {
     }
 
     /// The weighted sums, `points x channels`.
-    pub(crate) fn sum<const COUNT: usize>(&self, taps: Taps<COUNT>) -> Tensor<2> {
-        let device = self.values.device();
-        let mut sum: Option<Tensor<2>> = None;
-        for (index, weight) in taps.index.into_iter().zip(taps.weight) {
-            let count = index.len();
-            let index = Tensor::<1, Int>::from_data(TensorData::new(index, [count]), &device);
-            let weight = Tensor::<2>::from_data(TensorData::new(weight, [count, 1]), &device);
-            let part = self.values.clone().select(0, index) * weight;
-            sum = Some(match sum {
-                Some(sum) => sum + part,
-                None => part,
-            });
-        }
-        sum.unwrap_or_else(|| Tensor::zeros([0, self.values.dims()[1]], &device))
+    pub(crate) fn sum(&self, taps: Taps) -> Tensor<2> {
+        blend(self.values.clone(), taps)
     }
 }
 

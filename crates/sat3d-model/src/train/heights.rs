@@ -185,12 +185,16 @@ impl HeightLearner {
             terms.push(("classes", -mean * settings.classes));
         }
         if settings.colour > 0.0 {
-            // Colour has no say in the heights.
-            let surface = planes.clone().narrow(1, 0, 1).detach();
-            let features = Tensor::cat(vec![surface, planes.narrow(1, 1, channels - 1)], 1);
+            // One texel of sixteen, another one in each step: the head at all of them would take
+            // longer than the network. Colour has no say in the heights.
+            let some = |map: Tensor<4>| one_of_sixteen(map, step);
+            let features = some(planes.narrow(1, 0, channels));
+            let surface = features.clone().narrow(1, 0, 1).detach();
+            let others = features.narrow(1, 1, channels - 1);
+            let features = Tensor::cat(vec![surface, others], 1);
             let line = self.network.line().detach();
-            let colour = self.head.colour(features, line, batch.surface.clone());
-            let distance = (colour - batch.colours.clone()).abs().mean();
+            let colour = self.head.colour(features, line, some(batch.surface.clone()));
+            let distance = (colour - some(batch.colours.clone())).abs().mean();
             terms.push(("colour", distance * settings.colour));
         }
         terms
@@ -404,6 +408,14 @@ fn crop(planes: Tensor<4>, pad_tokens: usize) -> Tensor<4> {
     let margin = pad_tokens * crate::network::UNET_STEM * crate::network::UNET_TEXELS;
     let [_, _, rows, columns] = planes.dims();
     planes.narrow(2, margin, rows - 2 * margin).narrow(3, margin, columns - 2 * margin)
+}
+
+/// Every fourth row and column, beginning where the step says.
+fn one_of_sixteen(map: Tensor<4>, step: u64) -> Tensor<4> {
+    let [batch, channels, rows, columns] = map.dims();
+    let (row, column) = ((step % 4) as usize, (step / 4 % 4) as usize);
+    let map: Tensor<6> = map.reshape([batch, channels, rows / 4, 4, columns / 4, 4]);
+    map.narrow(3, row, 1).narrow(5, column, 1).reshape([batch, channels, rows / 4, columns / 4])
 }
 
 /// Twice the size, bilinearly (pixels are areas), borders continued.

@@ -4,6 +4,7 @@
 //! * [`losses`]: every term of the objectives, as functions of tensors.
 //! * [`Learner`]: a model that learns from batches of examples. It knows nothing of files.
 
+mod blend;
 pub mod convolution;
 mod discriminator;
 mod error;
@@ -14,6 +15,7 @@ mod heights;
 mod learner;
 pub mod losses;
 pub mod mini;
+pub mod normalisation;
 pub mod optimiser;
 mod paper;
 mod parameters;
@@ -27,6 +29,7 @@ pub use generator::{MapNetwork, MiniMap, ReleasedMap};
 pub use heights::{HeightLearner, HeightSettings};
 pub use learner::{Exported, Learner, NamedTensor, Outcome, Term};
 pub use paper::{
-    AdversarialWeights, Form, PaperLearner, PaperSettings, Perceptual, Photometric, TermWeights,
+    AdversarialWeights, Form, PaperLearner, PaperSettings, PerceptualMeasure, Photometric,
+    TermWeights,
 };
 pub use rays::ViewSettings;

@@ -3,7 +3,8 @@
 //! Where samples lie is decided outside the graph, in plain numbers and by the same code that the
 //! program renders with; weights, colours and depths are tensors.
 
-use super::field::{FieldTensors, Points, Table, Taps, activate, cross};
+use super::blend::Taps;
+use super::field::{FieldTensors, Points, Table, activate, cross};
 use super::rays::Rays;
 use crate::random::Draw;
 use crate::render::Composite;

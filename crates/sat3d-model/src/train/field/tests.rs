@@ -3,7 +3,7 @@ use crate::field::{Field, FieldInputs, PointHead};
 use crate::random;
 use crate::tensor::Grid;
 use crate::weights::TensorSource;
-use burn::tensor::Gradients;
+use burn::tensor::{Gradients, TensorData};
 
 /// Numbers for any key, of a size that lets densities vary.
 struct Numbers(u64);

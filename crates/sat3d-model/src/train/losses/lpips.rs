@@ -79,6 +79,14 @@ impl Lpips {
         Ok(Self { groups })
     }
 
+    /// As [`Lpips::read`], on the device of a learner.
+    ///
+    /// # Errors
+    /// Those of [`Lpips::read`]; [`ModelError::Device`] for a device that the program was built without.
+    pub fn for_learner(files: &[&Path], device: crate::Device) -> Result<Self, ModelError> {
+        Self::read(files, &device.open()?.autodiff())
+    }
+
     /// Distance of each pair of pictures in [-1, 1], `batch x 3 x height x width`, to `[batch]`: the features of
     /// each group's last layer, brought to length 1 at every place, their squared difference weighted by the
     /// linear layer and averaged over the places; summed over the five groups.

@@ -4,8 +4,7 @@
 //! needs none, and is another measure: it never stands in by itself, the caller names it.
 
 use super::lpips::Lpips;
-use burn::tensor::ops::AvgPoolOptions;
-use burn::tensor::{Tensor, module};
+use burn::tensor::Tensor;
 
 /// A perceptual distance. Pictures are `batch x 3 x height x width` in [-1, 1].
 #[derive(Clone, Debug)]
@@ -92,7 +91,7 @@ impl Substitute {
                 if height.min(width) / 2 < self.window {
                     break;
                 }
-                pair = pair.map(|picture| average(picture, [2, 2], 2));
+                pair = pair.map(halved);
             }
             let [a, b] = pair.clone();
             let part = self.structure(a.clone(), b.clone()) * (0.5 * self.structure)
@@ -113,7 +112,7 @@ impl Substitute {
     fn structure(&self, a: Tensor<4>, b: Tensor<4>) -> Tensor<2> {
         let [.., height, width] = a.dims();
         let window = [self.window.clamp(1, height), self.window.clamp(1, width)];
-        let mean = |v: Tensor<4>| average(v, window, 1);
+        let mean = |v: Tensor<4>| window_mean(v, window);
         let [ma, mb] = [mean(a.clone()), mean(b.clone())];
         // Rounding must not make a variance negative.
         let va = (mean(a.clone() * a.clone()) - ma.clone() * ma.clone()).clamp_min(0.0);
@@ -146,14 +145,52 @@ fn mean_of_each(values: Tensor<4>) -> Tensor<2> {
     values.flatten::<2>(1, 3).mean_dim(1)
 }
 
-fn average(picture: Tensor<4>, window: [usize; 2], stride: usize) -> Tensor<4> {
-    module::avg_pool2d(picture, AvgPoolOptions::new(window).with_stride([stride; 2]))
+/// Means of squares of two by two.
+fn halved(picture: Tensor<4>) -> Tensor<4> {
+    let [batch, channels, height, width] = picture.dims();
+    let [rows, columns] = [height / 2, width / 2];
+    let even = picture.narrow(2, 0, 2 * rows).narrow(3, 0, 2 * columns);
+    let split = even.reshape([batch, channels, rows, 2, columns, 2]);
+    split.mean_dim(5).mean_dim(3).reshape([batch, channels, rows, columns])
+}
+
+/// Means of all windows, one dimension after the other. burn's pooling visits every pixel of every window, here a
+/// window of 7 costs four additions a dimension.
+fn window_mean(picture: Tensor<4>, window: [usize; 2]) -> Tensor<4> {
+    let area = (window[0] * window[1]) as f64;
+    window_sum(window_sum(picture, 2, window[0]), 3, window[1]) / area
+}
+
+/// Sums of `window` neighbours along a dimension, from sums of 1, 2, 4 and so on.
+fn window_sum(values: Tensor<4>, dim: usize, window: usize) -> Tensor<4> {
+    let outputs = values.dims()[dim] + 1 - window;
+    let mut power = values;
+    let (mut length, mut start) = (1, 0);
+    let mut total: Option<Tensor<4>> = None;
+    loop {
+        if window & length != 0 {
+            let part = power.clone().narrow(dim, start, outputs);
+            start += length;
+            total = Some(match total {
+                Some(sum) => sum + part,
+                None => part,
+            });
+        }
+        if 2 * length > window {
+            return total.unwrap_or(power);
+        }
+        let count = power.dims()[dim] - length;
+        power = power.clone().narrow(dim, 0, count) + power.narrow(dim, length, count);
+        length *= 2;
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::train::losses::testing::{check_gradients, scalar, uniform, values, wide};
+    use burn::tensor::module;
+    use burn::tensor::ops::AvgPoolOptions;
 
     /// The formula, pixel by pixel, for one channel and one scale.
     fn slow(a: &[f64], b: &[f64], [height, width]: [usize; 2], options: &Substitute) -> f64 {
@@ -202,10 +239,27 @@ mod tests {
     }
 
     #[test]
+    fn windows_and_squares_are_those_of_the_pooling() {
+        let picture = || wide::<4>(uniform(1, 2 * 9 * 21, -1.0, 1.0), [1, 2, 9, 21]);
+        let check = |ours: Tensor<4>, window: [usize; 2], stride: usize| {
+            let pool = AvgPoolOptions::new(window).with_stride([stride; 2]);
+            let theirs = module::avg_pool2d(picture(), pool);
+            assert_eq!(ours.dims(), theirs.dims());
+            for (ours, theirs) in values(ours).iter().zip(values(theirs)) {
+                assert!((ours - theirs).abs() < 1e-14, "{window:?}: {ours} {theirs}");
+            }
+        };
+        for window in [[1, 1], [2, 3], [7, 7], [5, 8], [9, 21]] {
+            check(window_mean(picture(), window), window, 1);
+        }
+        check(halved(picture()), [2, 2], 2);
+    }
+
+    #[test]
     fn scales_are_averages_of_squares_and_stop_at_the_window() {
         let options = Substitute { window: 3, ..Substitute::default() };
         let [a, b] = [1, 2].map(|seed| wide::<4>(uniform(seed, 96, -1.0, 1.0), [1, 1, 8, 12]));
-        let half = |v: &Tensor<4>| average(v.clone(), [2, 2], 2);
+        let half = |v: &Tensor<4>| halved(v.clone());
         let one = Substitute { scales: 1, ..options };
         let want = (scalar(one.distance(a.clone(), b.clone()))
             + scalar(one.distance(half(&a), half(&b))))

@@ -9,7 +9,9 @@ mod objective;
 mod settings;
 mod state;
 
-pub use settings::{AdversarialWeights, Form, PaperSettings, Photometric, TermWeights};
+pub use settings::{
+    AdversarialWeights, Form, PaperSettings, PerceptualMeasure, Photometric, TermWeights,
+};
 
 use super::TrainError;
 use super::discriminator::{Discriminator, gradient_penalty};
@@ -26,8 +28,8 @@ use crate::weights::{Need, TensorSource, expected};
 use burn::tensor::Tensor;
 use objective::{Judged, Objective, Pictures, crop, scalar};
 
-/// A perceptual distance of pictures (`batch x 3 x height x width`, in [-1, 1]): predicted, true; one value.
-pub type Perceptual = dyn Fn(Tensor<4>, Tensor<4>) -> Tensor<1> + Send + Sync;
+/// A distance of pictures (`batch x 3 x height x width`, in [-1, 1]): predicted, true; one value.
+pub(crate) type Distance = dyn Fn(Tensor<4>, Tensor<4>) -> Tensor<1> + Send + Sync;
 
 /// Discriminators of the satellite view, the panorama and the perspective view, where there are any.
 #[derive(Clone, Debug)]
@@ -71,7 +73,7 @@ pub struct PaperLearner<M: MapNetwork = ReleasedMap> {
     config: String,
     /// What a checkpoint holds beside the parameters that are trained.
     beside: Vec<NamedTensor>,
-    perceptual: Option<Box<Perceptual>>,
+    perceptual: Option<Box<Distance>>,
     device: burn::tensor::Device,
     generator: Generator<M>,
     average: Average,
@@ -93,7 +95,7 @@ impl<M: MapNetwork> std::fmt::Debug for PaperLearner<M> {
 
 impl PaperLearner<ReleasedMap> {
     /// Learns the network that `config` (the text of a `config.json`) describes, from the weights of
-    /// `source` on; the encoder stays as it is. `perceptual` is needed where a weight asks for it.
+    /// `source` on; the encoder stays as it is.
     ///
     /// # Errors
     /// [`TrainError::Setting`]; those of the config, the source and the device.
@@ -102,9 +104,8 @@ impl PaperLearner<ReleasedMap> {
         source: &dyn TensorSource,
         device: Device,
         settings: PaperSettings,
-        perceptual: Option<Box<Perceptual>>,
     ) -> Result<Self, TrainError> {
-        settings.check(perceptual.is_some())?;
+        settings.check()?;
         let parsed = Config::from_json(config)?;
         let opened = device.open()?.autodiff();
         let parts = [settings.sky, settings.super_resolution];
@@ -115,7 +116,6 @@ impl PaperLearner<ReleasedMap> {
             config.to_owned(),
             &opened,
             settings,
-            perceptual,
         )?;
         learner.beside.extend(rest(&parsed, source, &learner)?);
         Ok(learner)
@@ -132,14 +132,33 @@ impl PaperLearner<MiniMap> {
         mini: &MiniSettings,
         device: Device,
         settings: PaperSettings,
-        perceptual: Option<Box<Perceptual>>,
     ) -> Result<Self, TrainError> {
         let config = mini.config(0)?;
         let device = device.open()?.autodiff();
-        let source = Named::new(mini::fresh(&config, settings.seed));
+        let mut start = mini::fresh(&config, settings.seed);
+        soften(&mut start, config.point_features());
+        let source = Named::new(start);
         let generator = Generator::mini(&config, &source, &device)?;
         let shape = Shape::of(&config);
-        Self::with_generator(generator, shape, mini.json(0), &device, settings, perceptual)
+        Self::with_generator(generator, shape, mini.json(0), &device, settings)
+    }
+}
+
+/// Spreads the surface that the small network starts with over about the distance of two samples: rays
+/// see where a sharp one lies no better than to a sample, and nothing of how to move it.
+fn soften(start: &mut [NamedTensor], inputs: usize) {
+    /// Of the surface's hidden unit in z.
+    const SHARPNESS: f32 = 0.1;
+    /// Of that unit in the density: opaque half a sample below the surface.
+    const OPAQUENESS: f32 = 0.35;
+    for tensor in start {
+        let (count, factor) = match tensor.name.as_str() {
+            "mlp.net0.weight" => (inputs, SHARPNESS),
+            "mlp.net0.bias" => (1, SHARPNESS),
+            "mlp.net1_density.weight" => (1, OPAQUENESS),
+            _ => continue,
+        };
+        tensor.values[..count].iter_mut().for_each(|value| *value *= factor);
     }
 }
 
@@ -184,10 +203,12 @@ impl<M: MapNetwork> PaperLearner<M> {
         config: String,
         device: &burn::tensor::Device,
         settings: PaperSettings,
-        perceptual: Option<Box<Perceptual>>,
     ) -> Result<Self, TrainError> {
-        settings.check(perceptual.is_some())?;
+        settings.check()?;
         let enlarged = if generator.sharp.is_some() { shape.enlarged } else { 1 };
+        let perceptual = settings.perceptual.open(device)?.map(|measure| -> Box<Distance> {
+            Box::new(move |predicted, truth| measure.distance(predicted, truth).mean())
+        });
         Ok(Self {
             beside: generator.map.frozen(),
             critics: Critics::new(&settings, enlarged, device),

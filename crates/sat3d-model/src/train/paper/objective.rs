@@ -8,7 +8,7 @@ use super::super::rays::{Purpose, Rays, draw, random_window};
 use super::super::render::Samples;
 use super::super::targets::{StreetTargets, Targets, batch, halved};
 use super::settings::{Form, PaperSettings, Photometric};
-use super::{Critics, Perceptual};
+use super::{Critics, Distance};
 use crate::network::unet::Statistics;
 use crate::random::key;
 use crate::render::Camera;
@@ -37,7 +37,7 @@ pub(crate) struct Objective<'a, M> {
     pub shape: &'a Shape,
     pub generator: &'a Generator<M>,
     pub critics: &'a Critics,
-    pub perceptual: Option<&'a Perceptual>,
+    pub perceptual: Option<&'a Distance>,
     pub device: &'a Device,
     pub step: u64,
 }

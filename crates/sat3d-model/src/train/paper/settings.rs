@@ -4,11 +4,15 @@ use super::super::TrainError;
 use super::super::losses::adversarial::Adversarial;
 use super::super::losses::depth::Depth;
 use super::super::losses::gravity::Gravity;
+use super::super::losses::lpips::Lpips;
+use super::super::losses::perceptual::{Perceptual, Substitute};
 use super::super::losses::sky::{ORTHO_WEIGHT, Opacity};
 use super::super::optimiser::AdamWSettings;
 use super::super::rays::ViewSettings;
 use crate::render::Composite;
+use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
 
 /// Whose form of a term.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -42,6 +46,35 @@ impl Photometric {
     #[must_use]
     pub fn is_off(&self) -> bool {
         self.weight == 0.0 || [self.l1, self.l2, self.perceptual].iter().all(|part| *part == 0.0)
+    }
+}
+
+/// By what a perceptual distance is measured. There is no measure by default: the release's needs weights
+/// that do not come with the program, and the one that needs none is another measure
+/// ([`super::super::losses::perceptual`]).
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PerceptualMeasure {
+    /// By none: weights of perceptual distances have to be 0.
+    #[default]
+    None,
+    /// Structural similarity and edges, which need no weights.
+    Substitute,
+    /// LPIPS over VGG16, with its weights from these files.
+    Lpips(Vec<PathBuf>),
+}
+
+impl PerceptualMeasure {
+    /// Reads the weights.
+    pub(crate) fn open(&self, device: &Device) -> Result<Option<Perceptual>, TrainError> {
+        Ok(match self {
+            Self::None => None,
+            Self::Substitute => Some(Perceptual::Substitute(Substitute::default())),
+            Self::Lpips(files) => {
+                let files: Vec<&Path> = files.iter().map(PathBuf::as_path).collect();
+                Some(Perceptual::Lpips(Box::new(Lpips::read(&files, device)?)))
+            }
+        })
     }
 }
 
@@ -155,6 +188,9 @@ pub struct PaperSettings {
     pub views: ViewSettings,
     /// Weights of the terms.
     pub weights: TermWeights,
+    /// By what pictures' perceptual distance is measured.
+    #[serde(default)]
+    pub perceptual: PerceptualMeasure,
     /// How the scene is laid over the sky.
     pub composite: Composite,
     /// Form of the depth term.
@@ -192,6 +228,7 @@ impl PaperSettings {
             discriminator_channels: 512,
             views: ViewSettings::release(),
             weights: TermWeights::release(),
+            perceptual: PerceptualMeasure::None,
             composite: Composite::Squared,
             depth_form: Form::Release,
             adversarial_form: Form::Release,
@@ -251,8 +288,8 @@ impl PaperSettings {
         }
     }
 
-    /// That every setting makes sense; `perceptual` says whether that distance can be computed.
-    pub(crate) fn check(&self, perceptual: bool) -> Result<(), TrainError> {
+    /// That every setting makes sense.
+    pub(crate) fn check(&self) -> Result<(), TrainError> {
         let fault = |key, value: String, why: &str| {
             Err(TrainError::Setting { key, value, why: why.into() })
         };
@@ -270,10 +307,18 @@ impl PaperSettings {
             if ![view.weight, view.l1, view.l2, view.perceptual].iter().all(usable) {
                 return fault(key, format!("{view:?}"), "weights that are finite and not below 0");
             }
-            if !view.is_off() && view.perceptual > 0.0 && !perceptual {
-                let why = "0, or a perceptual distance to measure by";
+            let measured = self.perceptual != PerceptualMeasure::None;
+            if !view.is_off() && view.perceptual > 0.0 && !measured {
+                let why = "a `perceptual` distance to measure by (files of weights for \"lpips\", or \
+                           \"substitute\", which needs none), or the weight 0 for it";
                 return fault(key, format!("{view:?}"), why);
             }
+        }
+        let ViewSettings { ortho_window, panorama_height, perspective, .. } = self.views;
+        let least = ortho_window.min(panorama_height).min(perspective);
+        if matches!(self.perceptual, PerceptualMeasure::Lpips(_)) && least < LPIPS_SIDE {
+            let why = "16 or more along every side of a view, of which LPIPS sees something";
+            return fault("views", least.to_string(), why);
         }
         let single = [
             ("weights.opacity", weights.opacity),
@@ -313,6 +358,9 @@ impl PaperSettings {
         Ok(())
     }
 }
+
+/// Least side of a picture that LPIPS can measure.
+const LPIPS_SIDE: usize = 16;
 
 fn usable(weight: &f64) -> bool {
     weight.is_finite() && *weight >= 0.0
