@@ -71,7 +71,8 @@ Examples:
   sat3d model inspect checkpoint-90000/  of a training: vqmodel_ema in it, else vqmodel
   sat3d model inspect weights/ --json
 
-Without DIR: the environment variable SAT3D_WEIGHTS, then the cache of the Hugging Face hub.")]
+Without DIR: the environment variable SAT3D_WEIGHTS, then the cache of the Hugging Face hub, then the small
+model inside the program (built-in:mini).")]
 struct InspectArgs {
     /// Checkpoint folder, or a folder that holds one
     #[arg(value_name = "DIR")]
