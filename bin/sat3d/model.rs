@@ -76,7 +76,8 @@ Examples:
   sat3d model inspect checkpoint-90000/  of a training: vqmodel_ema in it, else vqmodel
   sat3d model inspect weights/ --json
 
-Without DIR: the environment variable SAT3D_WEIGHTS, then the cache of the Hugging Face hub.")]
+Without DIR: the environment variable SAT3D_WEIGHTS, then the cache of the Hugging Face hub, then the small
+model inside the program (built-in:mini).")]
 struct InspectArgs {
     /// Checkpoint folder, or a folder that holds one
     #[arg(value_name = "DIR")]
@@ -127,7 +128,10 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
 fn inspect(args: &InspectArgs) -> anyhow::Result<ExitCode> {
     const MEGABYTE: u64 = 1_000_000;
     let weights = weights::find(args.folder.as_deref())?;
-    let checkpoint = examine(&weights.folder)?;
+    let checkpoint = match weights.origin {
+        Origin::BuiltIn { .. } => weights.open()?,
+        _ => examine(&weights.folder)?,
+    };
     // Both the file and the modules in it are hashed.
     let total = 2 * checkpoint.file().bytes().len() as u64;
     // A small file is done before a bar could be read.
@@ -156,6 +160,9 @@ fn described(weights: &Weights, config: &Config, found: &Inspection) -> anyhow::
         Origin::Environment => format!("named by {}", weights::VARIABLE),
         Origin::Cache { repository, revision } => {
             format!("{repository} at {revision}, in the cache")
+        }
+        Origin::BuiltIn { .. } => {
+            "part of the program (`sat3d model fetch` gets the released weights)".to_owned()
         }
         other => serde_json::to_string(other)?,
     };

@@ -51,7 +51,7 @@ struct TileArgs {
     #[arg(value_name = "PICTURE", required = true)]
     input: Option<PathBuf>,
     /// Checkpoint folder: config.json and diffusion_pytorch_model.safetensors (default: SAT3D_WEIGHTS, then
-    /// what `sat3d model fetch` has fetched)
+    /// what `sat3d model fetch` has fetched, then `built-in:mini`, the small model inside the program)
     #[arg(long, value_name = "DIR")]
     weights: Option<PathBuf>,
     /// Output folder

@@ -143,13 +143,12 @@ pub fn prepare(mut options: InferOptions) -> Result<Prepared, InferError> {
     let pictures = pictures > 0;
     let mut warnings = Vec::new();
     let weights = find_weights(&options, pictures, &mut warnings)?;
-    let checkpoint = weights.as_ref().map(|found| Checkpoint::open(&found.folder)).transpose()?;
-    let identity = checkpoint.as_ref().map(Identity::of).transpose()?;
-    // A second mapping of the same file, for the network.
-    let model = match &checkpoint {
-        Some(checkpoint) => Some(Model::load(checkpoint.folder(), &options.device)?),
-        None => None,
-    };
+    let checkpoint = weights.as_ref().map(Weights::open).transpose()?;
+    let identity = checkpoint.as_ref().map(Identity::of);
+    let model = checkpoint
+        .as_ref()
+        .map(|checkpoint| Model::of_checkpoint(checkpoint, &options.device))
+        .transpose()?;
     let side = model.as_ref().map_or(256, |model| model.config.image_side());
     options.render.samples = match (options.samples, &model) {
         (Some(samples), _) => samples,
@@ -185,12 +184,15 @@ fn find_weights(
 ) -> Result<Option<Weights>, InferError> {
     let argument = options.weights.as_deref();
     if pictures {
-        return Ok(Some(weights::find(argument)?));
+        let found = weights::find(argument)?;
+        warnings.extend(found.note());
+        return Ok(Some(found));
     }
     if !options.outputs.needs_sky() {
         return Ok(None);
     }
-    match weights::find(argument) {
+    // The built-in model has nothing to give to the scenes of others.
+    match weights::find_given(argument) {
         Ok(found) => Ok(Some(found)),
         Err(weights::WeightsError::None { .. }) => {
             warnings.push(

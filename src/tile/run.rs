@@ -108,10 +108,10 @@ pub fn prepare(mut options: TileOptions) -> Result<Prepared, TileError> {
     }
     check_names(&options)?;
     let found = weights::find(options.weights.as_deref())?;
-    let checkpoint = Checkpoint::open(&found.folder)?;
-    let identity = Identity::of(&checkpoint)?;
-    // A second mapping of the same file, for the network.
-    let model = Model::load(checkpoint.folder(), &options.device)?;
+    warnings.extend(found.note());
+    let checkpoint = found.open()?;
+    let identity = Identity::of(&checkpoint);
+    let model = Model::of_checkpoint(&checkpoint, &options.device)?;
     let job = job(&options, &ground, &model, &identity)?;
     let windows = job.axis_windows()?;
     let city = &job.city;

@@ -1,6 +1,6 @@
 //! Which weights were used, told apart without reading 1.5 GB.
 
-use crate::model::{Checkpoint, ModelError};
+use crate::model::Checkpoint;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -22,13 +22,9 @@ pub struct Identity {
 
 impl Identity {
     /// Of an open checkpoint; reads a few megabytes.
-    ///
-    /// # Errors
-    /// The config cannot be read again.
-    pub fn of(checkpoint: &Checkpoint) -> Result<Self, ModelError> {
-        let path = checkpoint.folder().join("config.json");
-        let config =
-            std::fs::read(&path).map_err(|source| ModelError::Io { path: path.clone(), source })?;
+    #[must_use]
+    pub fn of(checkpoint: &Checkpoint) -> Self {
+        let config = checkpoint.config_text().as_bytes();
         let file = checkpoint.file();
         let bytes = file.bytes();
         // Eight bytes of length, then the header itself.
@@ -36,18 +32,18 @@ impl Identity {
         let header = usize::try_from(length).unwrap_or(usize::MAX).saturating_add(8);
         let mut hash = Sha256::new();
         hash.update((config.len() as u64).to_le_bytes());
-        hash.update(&config);
+        hash.update(config);
         hash.update(&bytes[..header.min(bytes.len())]);
         let mut keys: Vec<&str> = file.keys().collect();
         keys.sort_unstable();
         for raw in keys.into_iter().filter_map(|key| file.raw(key)) {
             hash.update(&raw[..raw.len().min(SAMPLE)]);
         }
-        Ok(Self {
+        Self {
             class_name: checkpoint.config().class_name.clone(),
             bytes: bytes.len() as u64,
             sampled_sha256: crate::plan::hex(&hash.finalize()),
-        })
+        }
     }
 }
 

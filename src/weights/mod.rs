@@ -1,6 +1,7 @@
-//! Where a model's weights are: `--weights`, `SAT3D_WEIGHTS`, the cache of the Hugging Face hub.
+//! Where a model's weights are: `--weights`, `SAT3D_WEIGHTS`, the cache of the Hugging Face hub, and last
+//! the small model inside the program.
 //!
-//! The first of these that is given counts. If it holds no checkpoint, that is an error: weights that
+//! The first of these that there is counts. If it holds no checkpoint, that is an error: weights that
 //! somebody named are never silently replaced by others.
 
 pub mod cache;
@@ -12,8 +13,8 @@ mod identity;
 pub use identity::{Identity, whole_hash};
 
 use cache::Cache;
-use sat3d_model::ModelError;
-use sat3d_model::weights::{WEIGHTS_FILE, locate};
+use sat3d_model::weights::{BuiltIn, MINI, WEIGHTS_FILE, locate};
+use sat3d_model::{Checkpoint, ModelError};
 use serde::{Deserialize, Serialize};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -30,7 +31,7 @@ const LEVELS: usize = 2;
 /// A checkpoint folder, and who named it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Weights {
-    /// The folder that holds `config.json` and the weights' file.
+    /// The folder that holds `config.json` and the weights' file, or `built-in:<name>`.
     pub folder: PathBuf,
     /// How it was found.
     pub origin: Origin,
@@ -52,6 +53,39 @@ pub enum Origin {
         /// The commit, 40 hexadecimal digits.
         revision: String,
     },
+    /// Inside the program: nothing else was given, or it was asked for.
+    BuiltIn {
+        /// Its name.
+        name: String,
+    },
+}
+
+impl Weights {
+    /// Opens them.
+    ///
+    /// # Errors
+    /// Those of [`Checkpoint::open`].
+    pub fn open(&self) -> Result<Checkpoint, ModelError> {
+        match self.folder.to_str().and_then(BuiltIn::named) {
+            Some(model) => Checkpoint::built_in(model),
+            None => Checkpoint::open(&self.folder),
+        }
+    }
+
+    /// What a user should know about them.
+    #[must_use]
+    pub fn note(&self) -> Option<String> {
+        let Origin::BuiltIn { name } = &self.origin else { return None };
+        Some(format!(
+            "the small built-in model `{name}` is used: it learnt from simulated cities, and its heights \
+             on real images are indicative; `sat3d model fetch` gets the released one"
+        ))
+    }
+
+    fn built_in(model: &BuiltIn) -> Self {
+        let origin = Origin::BuiltIn { name: model.name.into() };
+        Self { folder: model.place().into(), origin }
+    }
 }
 
 /// Why no weights were found. Each says what to do.
@@ -124,20 +158,37 @@ fn listed(folders: &[PathBuf]) -> String {
 }
 
 /// Finds weights: those of `argument` (`--weights`), else of `SAT3D_WEIGHTS`, else the snapshot of
-/// [`REPOSITORY`] in the cache of the Hugging Face hub. An empty variable counts as not set.
+/// [`REPOSITORY`] in the cache of the Hugging Face hub, else the small model inside the program
+/// ([`MINI`]). An empty variable counts as not set.
 ///
 /// A place is a checkpoint folder, a training checkpoint (see [`locate`]), a folder with exactly one
 /// of those up to two levels below it, a file of a checkpoint folder, or a repository's folder in a
-/// cache. Only names are looked at; [`sat3d_model::Checkpoint::open`] reads the files.
+/// cache; `built-in:mini` is the model inside the program. Only names are looked at; [`Weights::open`]
+/// reads the files.
 ///
 /// # Errors
 /// [`WeightsError::NotHere`] and [`WeightsError::Several`] for a place that was given;
-/// [`WeightsError::Incomplete`] for a cache without the files; [`WeightsError::None`].
+/// [`WeightsError::Incomplete`] for a cache without the files.
 pub fn find(argument: Option<&Path>) -> Result<Weights, WeightsError> {
+    or_built_in(find_given(argument))
+}
+
+/// As [`find`], without the model inside the program unless it is asked for.
+///
+/// # Errors
+/// As [`find`]; [`WeightsError::None`] where nothing is given and the cache has nothing.
+pub fn find_given(argument: Option<&Path>) -> Result<Weights, WeightsError> {
     find_in(argument, &|name| std::env::var_os(name))
 }
 
-/// As [`find`], with the environment given.
+fn or_built_in(found: Result<Weights, WeightsError>) -> Result<Weights, WeightsError> {
+    match found {
+        Err(WeightsError::None { .. }) => Ok(Weights::built_in(&MINI)),
+        found => found,
+    }
+}
+
+/// As [`find_given`], with the environment given.
 fn find_in(
     argument: Option<&Path>,
     environment: &dyn Fn(&str) -> Option<OsString>,
@@ -149,6 +200,9 @@ fn find_in(
         (None, None) => None,
     };
     if let Some((by, place, origin)) = given {
+        if let Some(model) = place.to_str().and_then(BuiltIn::named) {
+            return Ok(Weights::built_in(model));
+        }
         return match below(place) {
             Ok(folder) => Ok(Weights { folder, origin }),
             Err(Below::Nothing(why)) => Err(WeightsError::NotHere { by, place: place.into(), why }),

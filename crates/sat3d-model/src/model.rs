@@ -54,8 +54,15 @@ impl Model {
     /// Those of [`Checkpoint::open`]; [`ModelError::Device`] for a device that this program was
     /// built without.
     pub fn load(folder: &Path, device: &Device) -> Result<Self, ModelError> {
-        let checkpoint = Checkpoint::open(folder)?;
-        Self::from_source(checkpoint.config().clone(), Box::new(checkpoint), device)
+        Self::of_checkpoint(&Checkpoint::open(folder)?, device)
+    }
+
+    /// The model of an opened checkpoint, whose mapping it shares.
+    ///
+    /// # Errors
+    /// As [`Model::from_source`].
+    pub fn of_checkpoint(checkpoint: &Checkpoint, device: &Device) -> Result<Self, ModelError> {
+        Self::from_source(checkpoint.config().clone(), Box::new(checkpoint.clone()), device)
     }
 
     /// A model whose tensors come from anywhere, as from [`crate::weights::rule`].

@@ -214,7 +214,13 @@ pub fn examine(folder: &Path) -> Result<Checkpoint, Problems> {
         }
     }
     match (config, file, problems.is_empty()) {
-        (Some(config), Ok(file), true) => Ok(Checkpoint { folder: place, config, file }),
+        (Some(config), Ok(file), true) => {
+            let path = place.join("config.json");
+            match std::fs::read_to_string(&path) {
+                Ok(config_text) => Ok(Checkpoint { folder: place, config_text, config, file }),
+                Err(source) => fail(vec![ModelError::Io { path, source }]),
+            }
+        }
         _ => fail(problems),
     }
 }

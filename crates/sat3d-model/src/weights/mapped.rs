@@ -7,18 +7,38 @@ use memmap2::Mmap;
 use rayon::prelude::*;
 use safetensors::tensor::{Dtype, Metadata, SafeTensorError, SafeTensors, TensorInfo};
 use std::fs::File;
+use std::ops::Deref;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-/// A mapped safetensors file whose header has been checked against its length.
-#[derive(Debug)]
+/// A safetensors file in memory whose header has been checked against its length: mapped, or a part of
+/// the program. Clones share it.
+#[derive(Clone, Debug)]
 pub struct MappedFile {
     path: PathBuf,
-    map: Mmap,
+    bytes: Bytes,
     metadata: Metadata,
     /// In file order.
     keys: Vec<String>,
     /// Where the tensors' bytes begin.
     start: usize,
+}
+
+#[derive(Clone, Debug)]
+enum Bytes {
+    Mapped(Arc<Mmap>),
+    BuiltIn(&'static [u8]),
+}
+
+impl Deref for Bytes {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        match self {
+            Self::Mapped(map) => map,
+            Self::BuiltIn(bytes) => bytes,
+        }
+    }
 }
 
 impl MappedFile {
@@ -32,12 +52,24 @@ impl MappedFile {
         // SAFETY: the map is only read. Another process changing the file would change values
         // under us, never types or lengths: every byte pattern is a valid u8.
         let map = unsafe { Mmap::map(&file) }.map_err(ModelError::io(path))?;
-        let (header, metadata) = SafeTensors::read_metadata(&map).map_err(|error| {
-            ModelError::Damaged { path: path.into(), why: explained(&error, &map) }
+        Self::of(path, Bytes::Mapped(Arc::new(map)))
+    }
+
+    /// A file that is part of the program; `name` is for messages.
+    ///
+    /// # Errors
+    /// [`ModelError::Damaged`].
+    pub fn built_in(name: &str, bytes: &'static [u8]) -> Result<Self, ModelError> {
+        Self::of(Path::new(name), Bytes::BuiltIn(bytes))
+    }
+
+    fn of(path: &Path, bytes: Bytes) -> Result<Self, ModelError> {
+        let (header, metadata) = SafeTensors::read_metadata(&bytes).map_err(|error| {
+            ModelError::Damaged { path: path.into(), why: explained(&error, &bytes) }
         })?;
         let start = header + LENGTH;
         let keys = metadata.offset_keys();
-        Ok(Self { path: path.into(), map, metadata, keys, start })
+        Ok(Self { path: path.into(), bytes, metadata, keys, start })
     }
 
     /// The file.
@@ -49,7 +81,7 @@ impl MappedFile {
     /// All of its bytes.
     #[must_use]
     pub fn bytes(&self) -> &[u8] {
-        &self.map
+        &self.bytes
     }
 
     /// Keys of the tensors, in file order.
@@ -80,7 +112,7 @@ impl MappedFile {
     #[must_use]
     pub fn raw(&self, key: &str) -> Option<&[u8]> {
         let info = self.metadata.info(key)?;
-        Some(&self.map[self.start..][info.data_offsets.0..info.data_offsets.1])
+        Some(&self.bytes[self.start..][info.data_offsets.0..info.data_offsets.1])
     }
 
     /// Converts one tensor to f32 and gives its pages back to the system.
@@ -105,7 +137,7 @@ impl MappedFile {
 
     fn convert(&self, info: &TensorInfo) -> Option<Vec<f32>> {
         let (begin, end) = info.data_offsets;
-        let bytes = &self.map[self.start + begin..self.start + end];
+        let bytes = &self.bytes[self.start + begin..self.start + end];
         let values = match info.dtype {
             Dtype::F32 => widen(bytes, f32::from_le_bytes),
             Dtype::F16 => widen(bytes, |half| f16::from_le_bytes(half).to_f32()),
@@ -120,13 +152,13 @@ impl MappedFile {
     /// file when they are read again. Only a hint, and only where the system has one.
     pub(super) fn release(&self, part: &[u8]) {
         #[cfg(unix)]
-        {
-            let offset = part.as_ptr().addr().wrapping_sub(self.map.as_ptr().addr());
-            if offset <= self.map.len() && part.len() <= self.map.len() - offset {
+        if let Bytes::Mapped(map) = &self.bytes {
+            let offset = part.as_ptr().addr().wrapping_sub(map.as_ptr().addr());
+            if offset <= map.len() && part.len() <= map.len() - offset {
                 let advice = memmap2::UncheckedAdvice::DontNeed;
                 // SAFETY: the map is file-backed and never written, so dropped pages are read
                 // again with the same content.
-                let _ = unsafe { self.map.unchecked_advise_range(advice, offset, part.len()) };
+                let _ = unsafe { map.unchecked_advise_range(advice, offset, part.len()) };
             }
         }
         #[cfg(not(unix))]

@@ -10,12 +10,14 @@ use crate::field::{Linear, PointHead};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
+mod built_in;
 mod expected;
 mod inspect;
 mod mapped;
 mod rounded;
 pub mod rule;
 
+pub use built_in::{BuiltIn, MINI};
 pub use expected::{Need, TensorSpec, expected};
 pub use inspect::{Inspection, ModuleSummary, Problems, examine, inspect, inspect_with};
 pub use mapped::MappedFile;
@@ -66,9 +68,10 @@ pub fn locate(folder: &Path) -> Result<PathBuf, ModelError> {
 
 /// An opened checkpoint: its config, and its tensors still on disk. Every tensor that the config
 /// asks for is there and has the right shape.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Checkpoint {
     folder: PathBuf,
+    config_text: String,
     config: Config,
     file: MappedFile,
 }
@@ -84,15 +87,44 @@ impl Checkpoint {
         let folder = locate(folder)?;
         let config = Config::from_folder(&folder)?;
         let file = MappedFile::open(&folder.join(WEIGHTS_FILE))?;
+        let path = folder.join("config.json");
+        let config_text = std::fs::read_to_string(&path).map_err(ModelError::io(&path))?;
+        Self::of(folder, config_text, config, file)
+    }
+
+    /// Opens a model that is part of the program.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::open`], should the program have been built with other files than it was tested
+    /// with.
+    pub fn built_in(model: &BuiltIn) -> Result<Self, ModelError> {
+        let config = Config::from_json(model.config)?;
+        let place = model.place();
+        let file = MappedFile::built_in(&place, model.weights)?;
+        Self::of(place.into(), model.config.to_owned(), config, file)
+    }
+
+    fn of(
+        folder: PathBuf,
+        config_text: String,
+        config: Config,
+        file: MappedFile,
+    ) -> Result<Self, ModelError> {
         let mismatch = compare(&expected(&config), &file);
         if !mismatch.is_empty() {
             let path = file.path().into();
             return Err(ModelError::Tensors { path, mismatch: Box::new(mismatch) });
         }
-        Ok(Self { folder, config, file })
+        Ok(Self { folder, config_text, config, file })
     }
 
-    /// The folder that holds `config.json`.
+    /// The text of `config.json`.
+    #[must_use]
+    pub fn config_text(&self) -> &str {
+        &self.config_text
+    }
+
+    /// The folder that holds `config.json`; `built-in:<name>` for a model that is part of the program.
     #[must_use]
     pub fn folder(&self) -> &Path {
         &self.folder
