@@ -58,11 +58,8 @@ pub fn export(
     if target.exists() {
         replaceable(checkpoint, target)?;
     }
-    let config = checkpoint.folder().join(FILES[0]);
-    let config =
-        std::fs::read(&config).map_err(|source| ModelError::Io { path: config, source })?;
     let folder = AtomicFolder::create(target).map_err(io)?;
-    folder.write(FILES[0], &config).map_err(io)?;
+    folder.write(FILES[0], checkpoint.config_text().as_bytes()).map_err(io)?;
     let mut result = None;
     folder
         .file(FILES[1], |path| match write_rounded(checkpoint, precision, path) {

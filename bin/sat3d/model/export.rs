@@ -3,7 +3,6 @@
 use super::grouped;
 use crate::console;
 use sat3d::batch::ExitCode;
-use sat3d::model::Checkpoint;
 use sat3d::model::weights::{Precision, Rounding, WEIGHTS_FILE};
 use sat3d::weights::{self, export::export};
 use serde_json::json;
@@ -41,7 +40,7 @@ pub struct Args {
 /// There are no weights, a value does not fit, or the folder cannot be written.
 pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let weights = weights::find(args.weights.as_deref())?;
-    let checkpoint = Checkpoint::open(&weights.folder)?;
+    let checkpoint = weights.open()?;
     let precision = if args.half { Precision::Half } else { Precision::Single };
     let rounding = export(&checkpoint, &args.out, precision)?;
     let bytes = args.out.join(WEIGHTS_FILE).metadata()?.len();

@@ -2,7 +2,7 @@
 
 use crate::console;
 use sat3d::batch::{ExitCode, Progress, write_atomic};
-use sat3d::model::{Checkpoint, Device, Model};
+use sat3d::model::{Device, Model};
 use sat3d::score::{Options, gates, score, table};
 use sat3d::weights::{self, whole_hash};
 use serde_json::json;
@@ -50,7 +50,7 @@ pub struct Args {
 /// There are no weights, the model does not run, or the report cannot be written.
 pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let weights = weights::find(args.weights.as_deref())?;
-    let checkpoint = Checkpoint::open(&weights.folder)?;
+    let checkpoint = weights.open()?;
     let sha256 = whole_hash(&checkpoint);
     let model =
         Model::from_source(checkpoint.config().clone(), Box::new(checkpoint), &args.device)?;

@@ -163,24 +163,27 @@ fn cut(
     let mut rgb = Vec::with_capacity(3 * area);
     let mut surface = Vec::with_capacity(area);
     let mut classes = Vec::with_capacity(area);
-    let mut ground = 0.0;
+    let mut ground = Vec::with_capacity(area);
     for index in crop.indices() {
         let pixel = [0, 1, 2].map(|channel| scene.rgb[3 * index + channel]);
         rgb.extend(colours.of(pixel));
         surface.push(f64::from(scene.surface[index]));
-        ground += f64::from(scene.ground[index]);
+        ground.push(f64::from(scene.ground[index]));
         classes.push(class(scene.classes[index]));
     }
     // Heights count from the mean bare earth of what the network sees.
-    let ground = ground / area as f64;
-    let surface: Vec<f32> = surface.into_iter().map(|height| (height - ground) as f32).collect();
+    let mean = ground.iter().sum::<f64>() / area as f64;
+    let over_mean =
+        |heights: Vec<f64>| heights.into_iter().map(|h| (h - mean) as f32).collect::<Vec<f32>>();
+    let (surface, ground) = (over_mean(surface), over_mean(ground));
     let depth = relative(&surface);
+    let grid = |heights| Grid::new(1, side, side, heights);
     Example {
         name,
         satellite: Image8 { width: side, height: side, channels: 3, data: rgb },
-        depth: Some(Grid::new(1, side, side, depth)),
-        truth: Some(Truth { surface: Grid::new(1, side, side, surface), classes }),
-        street: view.map(|view| street(scene, crop, view, ground, colours)),
+        depth: Some(grid(depth)),
+        truth: Some(Truth { surface: grid(surface), ground: grid(ground), classes }),
+        street: view.map(|view| street(scene, crop, view, mean, colours)),
     }
 }
 

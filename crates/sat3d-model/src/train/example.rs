@@ -26,6 +26,8 @@ pub struct Truth {
     /// Height of the surface over the mean bare earth of the crop, metres: `1 x side x side`, row 0 in
     /// the north; NaN where it is unknown.
     pub surface: Grid,
+    /// Height of the bare earth over the same mean, metres, of the surface's size.
+    pub ground: Grid,
     /// What the surface is, `side * side`, row-major.
     pub classes: Vec<Class>,
 }

@@ -28,7 +28,8 @@ pub struct HeightSettings {
     pub warm_up: u64,
     /// The optimiser.
     pub optimiser: AdamWSettings,
-    /// Weight of the smooth L1 distance of the heights' logarithms.
+    /// Weight of the smooth L1 distance of logarithms of heights over the ground: what stands on it can be
+    /// seen from above, how the ground lies mostly not.
     pub logarithm: f64,
     /// Weight of the distance in metres, reached at half of the steps.
     pub metric: f64,
@@ -50,7 +51,7 @@ impl Default for HeightSettings {
             steps: 10_000,
             warm_up: 200,
             optimiser: AdamWSettings {
-                learning_rate: 1e-3,
+                learning_rate: 2e-3,
                 beta1: 0.9,
                 beta2: 0.999,
                 epsilon: 1e-8,
@@ -150,12 +151,12 @@ impl HeightLearner {
 
         let height = double(planes.clone().narrow(1, 0, 1)) * mini::HEIGHT_UNIT_M;
         let truth = batch.heights.clone();
-        let known = batch.known.clone();
+        let known = batch.unknown.clone();
         let total = batch.count_known;
         let mean = |values: Tensor<4>| values.mask_fill(known.clone(), 0.0).sum() / total;
         let difference = height.clone() - truth.clone();
         if settings.logarithm > 0.0 {
-            let distance = symlog(height.clone()) - symlog(truth.clone());
+            let distance = symlog(height.clone()) - symlog(batch.objects.clone());
             terms.push(("logarithm", mean(smooth_l1(distance, 0.2)) * settings.logarithm));
         }
         if settings.metric > 0.0 {
@@ -310,8 +311,10 @@ struct Batch {
     images: Tensor<4>,
     /// `B x 1 x S x S`, metres, 0 where unknown.
     heights: Tensor<4>,
+    /// The same over the ground.
+    objects: Tensor<4>,
     /// Where the height is *not* known.
-    known: Tensor<4, Bool>,
+    unknown: Tensor<4, Bool>,
     count_known: f64,
     /// `B x 1 x S/2 x S/2`: class of each texel.
     classes: Tensor<4, Int>,
@@ -333,6 +336,7 @@ impl Batch {
         let count = examples.len();
         let mut images = Vec::with_capacity(3 * area * count);
         let mut heights = Vec::with_capacity(area * count);
+        let mut objects = Vec::with_capacity(area * count);
         let mut unknown = Vec::with_capacity(area * count);
         let mut classes = Vec::with_capacity(half * half * count);
         let mut surface = Vec::with_capacity(half * half * count);
@@ -348,7 +352,8 @@ impl Batch {
                 example.satellite.width,
                 example.satellite.height,
             ];
-            if found != [side; 4] || truth.classes.len() != area {
+            if found != [side; 4] || truth.classes.len() != area || truth.ground.data.len() != area
+            {
                 return Err(fails(format!(
                     "heights of {} x {}, image of {} x {}, {} classes, where all have to be {side} x {side}",
                     found[0],
@@ -361,6 +366,9 @@ impl Batch {
             images.extend(satellite(&example.satellite, side)?.data);
             let metres = &truth.surface.data;
             heights.extend(metres.iter().map(|h| if h.is_finite() { *h } else { 0.0 }));
+            let over =
+                metres.iter().zip(&truth.ground.data).map(|(surface, ground)| surface - ground);
+            objects.extend(over.map(|h| if h.is_finite() { h } else { 0.0 }));
             unknown.extend(metres.iter().map(|h| !h.is_finite()));
             for row in 0..half {
                 for column in 0..half {
@@ -394,7 +402,8 @@ impl Batch {
         Ok(Self {
             images: grid(images, 3, side),
             heights: grid(heights, 1, side),
-            known: Tensor::from_data(TensorData::new(unknown, [count, 1, side, side]), device),
+            objects: grid(objects, 1, side),
+            unknown: Tensor::from_data(TensorData::new(unknown, [count, 1, side, side]), device),
             count_known,
             classes: Tensor::from_data(TensorData::new(classes, [count, 1, half, half]), device),
             surface: grid(surface, 1, half),
@@ -418,15 +427,14 @@ fn one_of_sixteen(map: Tensor<4>, step: u64) -> Tensor<4> {
     map.narrow(3, row, 1).narrow(5, column, 1).reshape([batch, channels, rows / 4, columns / 4])
 }
 
-/// Twice the size, bilinearly (pixels are areas), borders continued.
+/// Twice the size, bilinearly (pixels are areas), zeros around: as the field reads its plane.
 fn double(map: Tensor<4>) -> Tensor<4> {
     let along = |map: Tensor<4>, axis: usize| {
         let dims = map.dims();
         let length = dims[axis];
-        let first = map.clone().narrow(axis, 0, 1);
-        let last = map.clone().narrow(axis, length - 1, 1);
-        let before = Tensor::cat(vec![first, map.clone().narrow(axis, 0, length - 1)], axis);
-        let after = Tensor::cat(vec![map.clone().narrow(axis, 1, length - 1), last], axis);
+        let edge = map.zeros_like().narrow(axis, 0, 1);
+        let before = Tensor::cat(vec![edge.clone(), map.clone().narrow(axis, 0, length - 1)], axis);
+        let after = Tensor::cat(vec![map.clone().narrow(axis, 1, length - 1), edge], axis);
         let even = map.clone() * 0.75 + before * 0.25;
         let odd = map * 0.75 + after * 0.25;
         let mut doubled = dims;
