@@ -70,7 +70,7 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
 /// Always: this program was built without it.
 #[cfg(not(feature = "train"))]
 pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
-    let Args { config, .. } = args;
+    let Args { config, out: _, set: _, explain: _, json: _ } = args;
     anyhow::bail!(
         "{}: this program was built without `sat3d train`; build it with the feature `train`",
         config.display()

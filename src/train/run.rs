@@ -252,7 +252,7 @@ impl<'a> Session<'a> {
     /// One step with everything that is due after it but the last checkpoint.
     fn one_step(&mut self) -> Result<(), TrainingError> {
         let run = &self.prepared.settings.run;
-        let batch = self.loader.next()?;
+        let batch = self.loader.take()?;
         for new in self.progress.items(&batch) {
             self.live.line(&format!("skipped: {new} (more of the kind are counted, not named)"));
         }

@@ -108,7 +108,7 @@ impl Loader {
     /// # Errors
     /// [`TrainingError::NothingLeft`] when no item of the data is any good; [`TrainingError::Example`] when a
     /// thread panicked.
-    pub fn next(&mut self) -> Result<Batch, TrainingError> {
+    pub fn take(&mut self) -> Result<Batch, TrainingError> {
         let mut batch = Batch::default();
         for _ in 0..self.batch {
             let mut state = lock(&self.shared.state);

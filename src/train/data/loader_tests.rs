@@ -62,7 +62,7 @@ fn batches_come_in_order_for_any_number_of_threads_and_from_any_step() {
     let collect = |step: u64, threads: usize, ahead: usize| -> Vec<Batch> {
         let source = Arc::new(numbers(10, |item| item == 3));
         let mut loader = Loader::start(source, step, 12, 4, threads, ahead).expect("starts");
-        (step..12).map(|_| loader.next().expect("a batch")).collect()
+        (step..12).map(|_| loader.take().expect("a batch")).collect()
     };
     let one = collect(0, 1, 0);
     assert_eq!(names(&one[0]), ["0:0", "1:1", "2:2", "3:4"]);
@@ -77,7 +77,7 @@ fn no_more_is_made_than_the_queue_holds() {
     let source = Arc::new(numbers(100, |_| false));
     let shared: Arc<dyn Source> = Arc::<Numbers>::clone(&source);
     let mut loader = Loader::start(shared, 0, 1000, 5, 2, 2).expect("starts");
-    loader.next().expect("a batch");
+    loader.take().expect("a batch");
     std::thread::sleep(Duration::from_millis(200));
     // Five are taken; three batches of five may be made beyond them.
     assert!(source.highest.load(Ordering::SeqCst) < 20, "{:?}", source.highest);
@@ -87,7 +87,7 @@ fn no_more_is_made_than_the_queue_holds() {
 #[test]
 fn a_source_without_anything_good_is_an_error_that_counts_the_reasons() {
     let source = Arc::new(numbers(6, |_| true));
-    let error = Loader::start(source, 0, 2, 2, 2, 1).expect("starts").next().expect_err("nothing");
+    let error = Loader::start(source, 0, 2, 2, 2, 1).expect("starts").take().expect_err("nothing");
     let text = error.to_string();
     assert!(text.contains("none of 6 items is any good (6 panorama missing)"), "{text}");
     assert!(text.contains("x.jpg"), "{text}");
@@ -97,7 +97,7 @@ fn a_source_without_anything_good_is_an_error_that_counts_the_reasons() {
 fn a_panic_is_an_error_and_not_a_wait_for_ever() {
     let source = Numbers { panics_at: Some(3), ..numbers(9, |_| false) };
     let mut loader = Loader::start(Arc::new(source), 0, 9, 2, 2, 1).expect("starts");
-    loader.next().expect("the first is fine");
-    let text = loader.next().expect_err("panics").to_string();
+    loader.take().expect("the first is fine");
+    let text = loader.take().expect_err("panics").to_string();
     assert!(text.contains("example 3") && text.contains("this source panics"), "{text}");
 }

@@ -279,7 +279,7 @@ impl VigorSettings {
                 "from 16 to 65536 pixels",
             ));
         }
-        if !(self.camera_z.abs() <= 1.0) {
+        if !(-1.0..=1.0).contains(&self.camera_z) {
             return Err(settings.wrong(&key("camera_z"), self.camera_z, "from -1 to 1"));
         }
         Ok(())
