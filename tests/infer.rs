@@ -465,6 +465,27 @@ fn lists_and_manifests_name_images() {
 }
 
 #[test]
+fn without_any_weights_the_model_inside_the_program_serves() {
+    let place = Place::new();
+    let stem = place.city(1).remove(0);
+    let mut bare = sat3d();
+    bare.args(["infer", "--dsm-size", "32", "--panorama", "--out"]).arg(place.path("out"));
+    let text = stderr(&run(bare.arg(place.path("Seattle")), 0));
+    for part in ["built-in model `mini`", "sat3d model fetch", "indicative"] {
+        assert!(text.contains(part), "`{text}` does not say `{part}`");
+    }
+    assert!(place.path("out").join(format!("{stem}.npz")).is_file());
+    // Asked for by name, it is the same one.
+    let mut named = sat3d();
+    named.args(["infer", "--dsm-size", "32", "--weights", "built-in:mini", "--out"]);
+    run(named.arg(place.path("named")).arg(place.path("Seattle")), 0);
+    let bytes = |out: &str| fs::read(place.path(out).join(format!("{stem}.npz"))).unwrap();
+    assert!(bytes("out") == bytes("named"));
+    let run_json = fs::read_to_string(place.path("named/run.json")).unwrap();
+    assert!(run_json.contains("built-in:mini"), "{run_json}");
+}
+
+#[test]
 fn a_saved_scene_renders_the_same_without_the_network() {
     let place = Place::new();
     let stem = place.city(1).remove(0);
@@ -560,9 +581,6 @@ fn what_cannot_work_is_said_before_any_work() {
     says(&mut place.infer("Seattle", "out", &["--gsd", "-1"]), "not metres per pixel");
     says(&mut place.infer("Seattle", "out", &["--device", "abacus"]), "cpu, cuda");
     says(&mut place.infer("Seattle", "out", &["--device", "cuda"]), "--features cuda");
-    let mut bare = sat3d();
-    bare.env_remove("SAT3D_WEIGHTS").args(["infer"]).arg(place.path("Seattle"));
-    says(&mut bare, "--weights");
     let mut wrong = sat3d();
     wrong.args(["infer", "--weights"]).arg(place.path("Seattle")).arg(place.path("Seattle"));
     says(&mut wrong, "no config.json");

@@ -193,11 +193,12 @@ fn the_argument_the_variable_and_the_cache_are_asked_in_this_order() {
     command.env("HF_HUB_CACHE", at("hub")).env("SAT3D_WEIGHTS", root.path().join("empty"));
     let (_, stderr) = ran(&mut command, 2);
     assert!(stderr.contains("SAT3D_WEIGHTS") && stderr.contains("no such folder"), "{stderr}");
-    // Nothing anywhere.
-    let (_, stderr) = ran(&mut model(&["inspect"]), 2);
-    for part in ["no weights", "/no/such/cache", "sat3d model fetch", "--weights", "SAT3D_WEIGHTS"]
-    {
-        assert!(stderr.contains(part), "{part} in {stderr}");
+    // Nothing anywhere: the model inside the program.
+    let built_in = origin(&[], None);
+    assert_eq!(built_in["from"], "cache", "the cache still counts first");
+    let (text, _) = ran(&mut model(&["inspect"]), 0);
+    for part in ["built-in:mini", "Sat3DMini", "sat3d model fetch"] {
+        assert!(text.contains(part), "{part} in {text}");
     }
 }
 

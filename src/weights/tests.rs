@@ -71,6 +71,30 @@ fn a_place_without_a_checkpoint_is_never_passed_over() {
 }
 
 #[test]
+fn the_model_inside_the_program_comes_last_or_by_its_name() {
+    let root = tempfile::tempdir().expect("a folder");
+    let nothing = found(None, &[("HF_HUB_CACHE", root.path())]);
+    let weights = or_built_in(nothing).expect("always there");
+    let origin = Origin::BuiltIn { name: "mini".into() };
+    assert_eq!(weights, Weights { folder: "built-in:mini".into(), origin: origin.clone() });
+    assert_eq!(weights.open().expect("opens").config().class_name, "Sat3DMini");
+    let note = weights.note().expect("a note");
+    assert!(note.contains("sat3d model fetch") && note.contains("indicative"), "{note}");
+    let good = root.path().join("good");
+    checkpoint(&good);
+    let named = Path::new("built-in:mini");
+    assert_eq!(found(Some(named), &[(VARIABLE, &good)]).expect("found").origin, origin);
+    assert_eq!(found(None, &[(VARIABLE, named)]).expect("found").origin, origin);
+    assert_eq!(found(Some(&good), &[(VARIABLE, named)]).expect("found").note(), None);
+    let error = found(Some(Path::new("built-in:maxi")), &[]).expect_err("refused").to_string();
+    assert!(error.contains("built-in:maxi") && error.contains("no such folder"), "{error}");
+    // What a manifest holds.
+    let json = serde_json::to_string(&origin).expect("serialises");
+    assert_eq!(json, r#"{"from":"built_in","name":"mini"}"#);
+    assert_eq!(serde_json::from_str::<Origin>(&json).expect("reads"), origin);
+}
+
+#[test]
 fn checkpoints_are_found_below_a_place_and_several_are_listed() {
     let root = tempfile::tempdir().expect("a folder");
     let at = |place: &str| root.path().join(place);
