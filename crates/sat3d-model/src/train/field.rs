@@ -149,6 +149,7 @@ impl Plane {
     }
 }
 
+#[expect(clippy::large_enum_variant, reason = "there is one for each image")]
 #[derive(Clone, Debug)]
 enum Tables {
     PlaneAndLine(Plane, Table, usize),
@@ -264,7 +265,7 @@ impl FieldTensors {
                     Points::Scattered(points) => {
                         plane.at(count, |point| [points[point][0], points[point][1]]) + over_line
                     }
-                    Points::Columns { places, .. } if places.is_empty() => over_line,
+                    Points::Columns { places: [], .. } => over_line,
                     Points::Columns { places, .. } => {
                         let lines = places.len();
                         let over_plane: Tensor<3> =

@@ -275,8 +275,8 @@ pub(crate) fn halved(map: Tensor<4>) -> Tensor<4> {
             let inside = |tap: Option<usize>| tap.filter(|tap| *tap < length);
             let of = |tap: usize| if tap == 0 || tap == 3 { 1.0 } else { 3.0 };
             let total: f64 = (0..4).filter(|k| inside(taps[*k]).is_some()).map(of).sum();
-            for k in 0..4 {
-                if let Some(tap) = inside(taps[k]) {
+            for (k, tap) in taps.into_iter().enumerate() {
+                if let Some(tap) = inside(tap) {
                     values[tap * half + out] = (of(k) / total) as f32;
                 }
             }
