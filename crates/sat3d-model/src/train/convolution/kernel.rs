@@ -84,7 +84,7 @@ pub fn weight_gradient(shape: Shape, input: &[f32], output_gradient: &[f32]) -> 
         .collect();
     let arch = Arch::new();
     let mut gradient = vec![0.0; shape.outputs * shape.inputs * 9];
-    // A task holds three output channels; an input plane serves all three at once.
+    // A task holds a few output channels; an input plane serves all of them at once.
     gradient.par_chunks_mut(GRADIENT_ROWS * shape.inputs * 9).enumerate().for_each(
         |(block, out)| {
             let first = block * GRADIENT_ROWS;
@@ -244,11 +244,11 @@ impl Convolve<'_> {
 }
 
 /// Output channels whose weight gradients are summed together.
-const GRADIENT_ROWS: usize = 3;
+const GRADIENT_ROWS: usize = 8;
 /// Places summed for one input channel before the next one's turn.
-const TILE: usize = 1024;
+const TILE: usize = 512;
 
-/// Adds one image's share to the weight gradients of three output channels.
+/// Adds one image's share to the weight gradients of a few output channels.
 struct Correlate<'a> {
     shape: Shape,
     first: usize,
@@ -262,11 +262,11 @@ impl WithSimd for Correlate<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        // With 16 registers, nine taps of three channels are too many.
+        // With 16 registers, three taps of eight channels are too many.
         if S::F32_LANES >= 16 {
-            self.tiles::<S, 9>(simd);
-        } else {
             self.tiles::<S, 3>(simd);
+        } else {
+            self.tiles::<S, 1>(simd);
         }
     }
 }
