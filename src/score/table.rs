@@ -4,8 +4,11 @@ use super::measures::Measure as M;
 use super::{Gate, Report};
 use std::fmt::Write as _;
 
+/// A score: which, its name for people, digits after the point.
+type Row = (M, &'static str, usize);
+
 /// Rows in groups: what it is, and decimals.
-const GROUPS: [(&str, &[(M, &str, usize)]); 5] = [
+const GROUPS: [(&str, &[Row]); 5] = [
     (
         "DSM, all pixels",
         &[

@@ -116,7 +116,7 @@ impl Learner for Toy {
         }
         let mut terms = vec![Term { name: "total", value: loss }];
         // As a discriminator does: in every other step.
-        terms.push(if step % 2 == 0 {
+        terms.push(if step.is_multiple_of(2) {
             Term { name: "even", value: loss / 2.0 }
         } else {
             Term { name: "odd", value: loss / 3.0 }

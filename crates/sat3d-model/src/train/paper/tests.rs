@@ -245,13 +245,13 @@ fn a_batch_that_is_not_finite_changes_nothing() {
 fn what_an_example_lacks_is_left_out() {
     let mut learner = learner(settings());
     let bare = Example { street: None, depth: None, ..example(1) };
-    let of_bare = names(&learner.step(0, &[bare.clone()]).expect("a step"));
+    let of_bare = names(&learner.step(0, std::slice::from_ref(&bare)).expect("a step"));
     assert_eq!(
         of_bare,
         ["total", "satellite", "ortho_opacity", "adversarial.satellite", "gravity"]
     );
     // No panorama was rendered, and none is there: one discriminator learns.
-    let critics = names(&learner.step(1, &[bare.clone()]).expect("a step"));
+    let critics = names(&learner.step(1, std::slice::from_ref(&bare)).expect("a step"));
     assert_eq!(critics, ["total", "discriminator.satellite"]);
     let mixed = learner.step(2, &[bare.clone(), example(2)]).expect("a step");
     assert!(names(&mixed).contains(&"panorama") && names(&mixed).contains(&"depth"));
