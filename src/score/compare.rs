@@ -373,3 +373,7 @@ fn order(score: &Compared, paper: f64) -> Order {
         _ => Order::TheOtherWay,
     }
 }
+
+#[cfg(test)]
+#[path = "compare_tests.rs"]
+mod tests;

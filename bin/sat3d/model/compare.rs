@@ -23,7 +23,7 @@ Names of the paper's ablation: canonical, without-depth, without-gravity, withou
 pub struct Args {
     /// Reports, or folders of reports; the name of each is that of the variant
     #[arg(value_name = "REPORT", required = true, num_args = 1..)]
-    reports: Vec<PathBuf>,
+    report: Vec<PathBuf>,
     /// Variant that the others are held against (default: the last)
     #[arg(long, value_name = "NAME")]
     against: Option<String>,
@@ -41,7 +41,7 @@ pub struct Args {
 /// A report cannot be read or is of other scenes, or the table cannot be written.
 pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let variants =
-        args.reports.iter().map(|path| Variant::read(path)).collect::<Result<Vec<_>, _>>()?;
+        args.report.iter().map(|path| Variant::read(path)).collect::<Result<Vec<_>, _>>()?;
     let last = variants.last().map(|variant| variant.name.clone()).unwrap_or_default();
     let against = args.against.as_ref().unwrap_or(&last);
     let Options { replicates, level_pct, .. } = Options::default();
