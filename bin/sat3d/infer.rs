@@ -127,7 +127,7 @@ enum DepthArg {
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
-enum ScaleArg {
+pub enum ScaleArg {
     Paper,
     Isotropic,
 }

@@ -1,5 +1,6 @@
 //! `sat3d model`: weights looked into, fetched, written anew, scored, and the network held against the reference.
 
+mod compare;
 mod export;
 mod score;
 
@@ -28,6 +29,7 @@ enum Command {
     Inspect(InspectArgs),
     Verify(VerifyArgs),
     Score(score::Args),
+    Compare(compare::Args),
     Export(export::Args),
 }
 
@@ -121,6 +123,7 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
         Command::Inspect(args) => inspect(args),
         Command::Verify(args) => verify(args),
         Command::Score(args) => score::run(args),
+        Command::Compare(args) => compare::run(args),
         Command::Export(args) => export::run(args),
     }
 }

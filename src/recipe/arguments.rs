@@ -52,7 +52,7 @@ pub struct PathArgument {
 /// A step that is ready to run.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Step {
-    /// From 1.
+    /// From 1; a step of the recipe with `each` counts as often as it runs.
     pub number: usize,
     /// `["dsm-bench", "build"]`.
     pub command: Vec<String>,
@@ -70,6 +70,7 @@ pub struct Step {
 impl Step {
     pub(super) fn resolve(
         raw: &RawStep,
+        number: usize,
         values: &Values,
         root: &Command,
         folders: Folders<'_>,
@@ -129,7 +130,7 @@ impl Step {
         }
         let has = |name: &str| command.get_arguments().any(|arg| arg.get_long() == Some(name));
         Ok(Self {
-            number: raw.place.step.as_ref().map_or(0, |(number, _)| *number),
+            number,
             command: raw.command.clone(),
             arguments,
             paths,

@@ -138,6 +138,14 @@ pub enum Error {
         /// The variable.
         name: String,
     },
+    /// A name in a step's `each` that is a variable of the recipe, too.
+    #[error("{place}: `{name}` in `each` is a variable of the recipe, too")]
+    EachIsVariable {
+        /// Where.
+        place: Place,
+        /// The name.
+        name: String,
+    },
     /// `--set` without `=`.
     #[error("--set `{setting}` is no setting")]
     SettingForm {
@@ -188,7 +196,9 @@ impl Error {
             Self::WholeChain { key, .. } => format!("give it to the chain: sat3d run --{key} ..."),
             Self::Unterminated { .. } => "write ${name}, or $${ for a literal ${".into(),
             Self::SettingForm { .. } => "write --set name=value".into(),
-            Self::DefinedTwice { .. } => "rename one of the two".into(),
+            Self::DefinedTwice { .. } | Self::EachIsVariable { .. } => {
+                "rename one of the two".into()
+            }
             Self::Read { .. }
             | Self::Syntax { .. }
             | Self::WrongType { .. }

@@ -10,6 +10,9 @@
 //! max-nan = 5                  # lists give several values, true and false turn switches on and off
 //! ```
 //!
+//! A step with `each = { seed = [1, 2], size = ["small", "large"] }` runs once for each combination; `${seed}` and
+//! `${size}` are then variables of that step.
+//!
 //! A recipe knows nothing of its commands: it asks their [`clap::Command`] which keys exist, which
 //! take values and which are paths. So a new subcommand can be used in recipes as it is, and what
 //! a step accepts is what the command line accepts.
@@ -26,7 +29,7 @@ use std::path::{Path, PathBuf};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 use value::{Scalar, Value, kind};
-use variables::Variables;
+use variables::{Values, Variables};
 
 /// A recipe as written: nothing is filled in or checked against the commands yet.
 #[derive(Clone, Debug)]
@@ -45,8 +48,32 @@ pub struct Recipe {
 struct RawStep {
     command: Vec<String>,
     place: Place,
+    /// Names with the values that the step runs for, and their line; the first name changes slowest.
+    each: Vec<(String, Vec<Scalar>, usize)>,
     /// Key, value and line, in the order of the file.
     parameters: Vec<(String, Value, usize)>,
+}
+
+impl RawStep {
+    /// The variables of each time that the step runs: the recipe's, and one of every combination of `each`.
+    fn times(&self, values: &Values) -> Result<Vec<Values>, Error> {
+        let mut times = vec![values.clone()];
+        for (name, list, line) in &self.each {
+            let place = Place { line: *line, ..self.place.clone() };
+            if values.has(name) {
+                return Err(Error::EachIsVariable { place, name: name.clone() });
+            }
+            let mut longer = Vec::with_capacity(times.len() * list.len());
+            for before in &times {
+                for item in list {
+                    // Of the recipe's variables: names of `each` do not use each other.
+                    longer.push(before.with(name, values.fill(item, name, &place)?));
+                }
+            }
+            times = longer;
+        }
+        Ok(times)
+    }
 }
 
 /// A recipe that is ready to run: every value filled in, every key checked.
@@ -169,11 +196,13 @@ impl Recipe {
         let mut root = root.clone();
         root.build();
         let folders = arguments::Folders { base: &self.base, cwd };
-        let steps = self
-            .steps
-            .iter()
-            .map(|step| Step::resolve(step, &values, &root, folders))
-            .collect::<Result<Vec<_>, _>>()?;
+        let mut steps = Vec::new();
+        for raw in &self.steps {
+            for values in raw.times(&values)? {
+                let number = steps.len() + 1;
+                steps.push(Step::resolve(raw, number, &values, &root, folders)?);
+            }
+        }
         let closing = match &self.closing {
             Some((text, place)) => {
                 // Shown to a person, so paths below the current folder lose its name.
@@ -232,13 +261,18 @@ fn raw_step(file: &File<'_>, number: usize, step: &Spanned<DeValue<'_>>) -> Resu
     };
     let command: Vec<String> = command.split_whitespace().map(ToOwned::to_owned).collect();
     place.step = Some((number, command.join(" ").into()));
-    let mut parameters = Vec::new();
+    let (mut parameters, mut each) = (Vec::new(), Vec::new());
     for (key, value) in in_file_order(table) {
         let name = key.get_ref().as_ref();
-        if name == "command" {
-            continue;
-        }
         let line = file.line(key.span().start);
+        match name {
+            "command" => continue,
+            "each" => {
+                each = combinations(file, &Place { line, ..place.clone() }, value.get_ref())?;
+                continue;
+            }
+            _ => {}
+        }
         let value = Value::from_toml(value.get_ref()).map_err(|found| Error::WrongType {
             place: Place { line, ..place.clone() },
             key: name.to_owned(),
@@ -247,7 +281,40 @@ fn raw_step(file: &File<'_>, number: usize, step: &Spanned<DeValue<'_>>) -> Resu
         })?;
         parameters.push((name.to_owned(), value, line));
     }
-    Ok(RawStep { command, place, parameters })
+    Ok(RawStep { command, place, each, parameters })
+}
+
+/// The table `each` of a step: names, the values of each, and their lines.
+fn combinations(
+    file: &File<'_>,
+    place: &Place,
+    each: &DeValue<'_>,
+) -> Result<Vec<(String, Vec<Scalar>, usize)>, Error> {
+    let wrong = |line, key: &str, expected: &str, found| Error::WrongType {
+        place: Place { line, ..place.clone() },
+        key: key.to_owned(),
+        expected: expected.to_owned(),
+        found,
+    };
+    let DeValue::Table(table) = each else {
+        let expected = "a table of lists, as { seed = [1, 2, 3] }";
+        return Err(wrong(place.line, "each", expected, kind(each)));
+    };
+    let mut all = Vec::new();
+    for (key, value) in in_file_order(table) {
+        let (name, line) = (key.get_ref().as_ref(), file.line(key.span().start));
+        let list = match Value::from_toml(value.get_ref()) {
+            Ok(Value::List(list)) if list.is_empty() => Err("an empty list"),
+            Ok(Value::List(list)) => Ok(list),
+            Ok(one) => Err(one.kind()),
+            Err(found) => Err(found),
+        };
+        let list = list.map_err(|found| {
+            wrong(line, name, "a list of texts, numbers, true or false, with at least one", found)
+        })?;
+        all.push((name.to_owned(), list, line));
+    }
+    Ok(all)
 }
 
 /// The entries of a table in the order in which they are written.

@@ -108,6 +108,53 @@ fn a_chain_is_resolved_step_by_step() {
 }
 
 #[test]
+fn a_step_runs_for_each_combination() {
+    let chain = resolve(
+        r#"
+        [paths]
+        out = "/made"
+        [variables]
+        large = 9
+        [[step]]
+        command = "say"
+        words = "first"
+        [[step]]
+        command = "bench build"
+        each = { size = ["small", "${large}"], seed = [1, 2.50, true] }
+        vigor = ["${out}/${size}", "s${seed}"]
+        max-nan = "${seed}"
+        [[step]]
+        command = "say"
+        words = "last"
+        "#,
+    )
+    .expect("resolves");
+    let lines: Vec<String> = chain.steps.iter().map(Step::command_line).collect();
+    let build = |size: &str, seed: &str| {
+        let path = format!("/made/{size} --vigor pipelines/s{seed}");
+        format!("sat3d bench build --vigor {path} --max-nan {seed}")
+    };
+    assert_eq!(
+        lines,
+        [
+            "sat3d say first".to_owned(),
+            build("small", "1"),
+            build("small", "2.50"),
+            build("small", "true"),
+            build("9", "1"),
+            build("9", "2.50"),
+            build("9", "true"),
+            "sat3d say last".to_owned(),
+        ]
+    );
+    assert!(chain.steps.iter().enumerate().all(|(at, step)| step.number == at + 1));
+    // What a command refuses is still said of the step as it is written.
+    let error = root().try_get_matches_from(chain.steps[3].words(&[])).expect_err("no number");
+    let told = chain.steps[3].refused(&error).to_string();
+    assert!(told.starts_with("r.toml:10: step 2 (bench build): invalid value 'true'"), "{told}");
+}
+
+#[test]
 fn a_step_waits_for_what_an_earlier_one_makes() {
     let text = r#"
         [[step]]
@@ -221,6 +268,31 @@ fn refusals_name_the_place_and_what_was_meant() {
              defined | did you mean `lidar`?",
         ),
         ("[paths]\na = 3\n[[step]]", "r.toml:2: `a` is a number, but must be a path in quotes"),
+        (
+            "[[step]]\ncommand = 'say'\neach = 3",
+            "r.toml:3: step 1 (say): `each` is a number, but must be a table of lists, as { seed",
+        ),
+        (
+            "[[step]]\ncommand = 'say'\n[step.each]\nseed = 3",
+            "r.toml:4: step 1 (say): `seed` is a number, but must be a list of texts,",
+        ),
+        ("[[step]]\ncommand = 'say'\neach = {a = []}", "`a` is an empty list, but must be a list"),
+        (
+            "[[step]]\ncommand = 'say'\neach = {a = [[1]]}",
+            "`a` is a list of more than plain values, but must be a list",
+        ),
+        (
+            "[variables]\na = 1\n[[step]]\ncommand = 'say'\neach = {a = [1]}",
+            "r.toml:5: step 1 (say): `a` in `each` is a variable of the recipe, too | rename",
+        ),
+        (
+            "[[step]]\ncommand = 'say'\neach = {a = [1], b = ['${a}']}",
+            "`b` uses the variable `${a}`, which is not defined",
+        ),
+        (
+            "[[step]]\ncommand = 'say'\neach = {seed = [1]}\nwords = '${sead}'",
+            "`words` uses the variable `${sead}`, which is not defined | did you mean `seed`?",
+        ),
         ("[paths]\na = ''\n[variables]\na = 1", "r.toml:4: `a` is defined in [paths] and in"),
         ("[[step]\ncommand", "r.toml:1: not TOML: "),
         ("[paths]\na = 'x'\na = 'y'", "r.toml:3: not TOML: duplicate key"),
@@ -246,7 +318,7 @@ proptest! {
                 Just("[[step]]\n"), Just("[paths]\n"), Just("[variables]\n"), Just("command = "),
                 Just("'bench build'\n"), Just("lidar = "), Just("'${a}'\n"), Just("a = "),
                 Just("'$${'\n"), Just("5\n"), Just("true\n"), Just("['x', 1]\n"), Just("\u{e9}"),
-                Just("[1e400]\n"), Just("'${'\n"), Just("verify = "), Just("{}\n"), Just("'-x'\n"),
+                Just("[1e400]\n"), Just("'${'\n"), Just("verify = "), Just("{}\n"), Just("each = "), Just("{a = ['${b}']}\n"), Just("'-x'\n"),
             ],
             0..14,
         )

@@ -129,6 +129,18 @@ impl Variables {
 pub(super) struct Values(BTreeMap<String, Scalar>);
 
 impl Values {
+    /// Whether there is a variable of this name.
+    pub(super) fn has(&self, name: &str) -> bool {
+        self.0.contains_key(name)
+    }
+
+    /// These, and one more.
+    pub(super) fn with(&self, name: &str, value: Scalar) -> Self {
+        let mut more = self.clone();
+        more.0.insert(name.to_owned(), value);
+        more
+    }
+
     /// `value` with every `${name}` filled in. A text that is one variable and nothing else takes
     /// that variable's type, so that `zoom = "${zoom}"` stays a number.
     pub(super) fn fill(&self, value: &Scalar, key: &str, place: &Place) -> Result<Scalar, Error> {

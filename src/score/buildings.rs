@@ -1,7 +1,7 @@
 //! How high buildings are: each over the ground around it, so that no vertical offset matters.
 
 use crate::eval::align::median;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// A component of fewer pixels is no building.
 pub const LEAST_PX: usize = 60;
@@ -15,7 +15,7 @@ const GROUND: u8 = 0;
 const BUILDING: u8 = 1;
 
 /// A building, or the part of one that is in the image.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Building {
     /// Its pixels.
     pub pixels: usize,

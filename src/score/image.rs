@@ -6,7 +6,7 @@ use crate::eval::align::{AlignError, AlignSettings, align, apply};
 use crate::eval::metrics::{ErrorSums, PUBLISHED_THRESHOLDS_M};
 use crate::eval::{OffsetMethod, Protocol, Surface};
 use crate::scene::random::Kind;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// The exact heights of a square image, rows from the north.
 #[derive(Clone, Copy, Debug)]
@@ -29,7 +29,7 @@ pub struct Prediction {
 }
 
 /// Errors of a surface after its vertical offset is out.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Errors {
     /// Pixels that have a height.
     pub pixels: u64,
@@ -78,7 +78,7 @@ impl Errors {
 }
 
 /// The scores of one scene.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ImageScore {
     /// Seed of its set.
     pub seed: u64,

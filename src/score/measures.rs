@@ -147,16 +147,16 @@ impl ScoreSet {
     }
 }
 
-const COUNT: usize = Measure::ALL.len();
+pub(super) const COUNT: usize = Measure::ALL.len();
 
 /// Scenes, and their buildings from the lowest to the highest with the number of their scene.
-struct Set<'a> {
+pub(super) struct Set<'a> {
     images: &'a [&'a ImageScore],
     buildings: Vec<(f64, f64, usize)>,
 }
 
 impl<'a> Set<'a> {
-    fn new(images: &'a [&'a ImageScore]) -> Self {
+    pub(super) fn new(images: &'a [&'a ImageScore]) -> Self {
         let mut buildings: Vec<(f64, f64, usize)> = images
             .iter()
             .enumerate()
@@ -169,7 +169,7 @@ impl<'a> Set<'a> {
     }
 
     /// All measures, with each scene as often as its weight says.
-    fn measures(&self, weights: &[u32]) -> [f64; COUNT] {
+    pub(super) fn measures(&self, weights: &[u32]) -> [f64; COUNT] {
         let sum = |of: &dyn Fn(&ImageScore) -> f64| -> f64 {
             let weighted = self.images.iter().zip(weights);
             weighted.map(|(image, weight)| f64::from(*weight) * of(image)).sum()

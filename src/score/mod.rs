@@ -6,6 +6,7 @@
 //! | [`buildings`] | how high each building is over the ground around it |
 //! | [`columns`] | the mesh's top and its floaters, from densities on the pixel lattice |
 //! | [`measures`](Measure) | the scores of a set of scenes, with bootstrap intervals |
+//! | [`compare`] | variants of a training against each other, with the order that the paper has |
 //! | [`gates`] | what a model has to reach before it is part of the program |
 //!
 //! **Scenes**: squares of 64.5 m on 256 px ([`Options`]) about the centres of
@@ -17,15 +18,17 @@
 
 pub mod buildings;
 pub mod columns;
+pub mod compare;
 mod gates;
 mod image;
 mod measures;
+pub mod paper;
 mod table;
 
 pub use gates::{Gate, gates};
 pub use image::{Errors, ImageScore, Prediction, Truth};
 pub use measures::{Measure, Score, ScoreSet};
-pub use table::table;
+pub use table::{markdown, table};
 
 use crate::eval::align::AlignError;
 use crate::footprint::TRAINING_WIDTH_M;
@@ -36,7 +39,7 @@ use crate::random::key;
 use crate::scene::SceneError;
 use crate::scene::random::{RandomScenes, Sample};
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
 /// Purpose of the seeds of scored scenes.
@@ -45,7 +48,7 @@ const PURPOSE: u64 = 0x5343_4F52;
 const AHEAD: usize = 8;
 
 /// What is scored.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Options {
     /// One set of scenes for each.
     pub seeds: Vec<u64>,

@@ -1,5 +1,6 @@
 //! A report for people.
 
+use super::compare::{Comparison, Order};
 use super::measures::Measure as M;
 use super::{Gate, Report};
 use std::fmt::Write as _;
@@ -110,4 +111,91 @@ fn write(out: &mut String, report: &Report, gates: &[Gate]) -> std::fmt::Result 
         writeln!(out, "{word}  {name}: {value:.3}, to be under {limit}")?;
     }
     Ok(())
+}
+
+/// Variants as a table in Markdown, with the paper's numbers beside those whose names it has.
+#[must_use]
+pub fn markdown(found: &Comparison) -> String {
+    let mut out = String::new();
+    // Writing to a String cannot fail.
+    let _ = write_markdown(&mut out, found);
+    out
+}
+
+fn write_markdown(out: &mut String, found: &Comparison) -> std::fmt::Result {
+    let Comparison { scenes, against, replicates, level_pct, variants } = found;
+    let paper = variants.iter().any(|row| row.paper_rmse_m.is_some());
+    let mut heads = vec![
+        "variant".to_owned(),
+        "RMSE, m".into(),
+        "each training".into(),
+        "MAE, m".into(),
+        "buildings, m".into(),
+        "floaters, %".into(),
+        format!("RMSE less `{against}`'s, m"),
+        "place".into(),
+    ];
+    if paper {
+        heads.extend(["paper: RMSE, m".into(), "place".into(), "order".into()]);
+    }
+    writeln!(out, "| {} |", heads.join(" | "))?;
+    writeln!(out, "|---|{}", "--:|".repeat(heads.len() - 1))?;
+    let here: Vec<Option<f64>> =
+        variants.iter().map(|row| Some(row.score(M::DsmRmseM).value)).collect();
+    let there: Vec<Option<f64>> = variants.iter().map(|row| row.paper_rmse_m).collect();
+    for (at, row) in variants.iter().enumerate() {
+        let with_interval = |measure| {
+            let score = row.score(measure);
+            format!("{} ({} to {})", two(score.value), two(score.low), two(score.high))
+        };
+        let rmse = row.score(M::DsmRmseM);
+        let each: Vec<String> = rmse.trainings.iter().map(|value| two(*value)).collect();
+        let difference = if row.name == *against {
+            "-".to_owned()
+        } else {
+            let [value, low, high] =
+                [rmse.difference, rmse.difference_low, rmse.difference_high].map(signed);
+            format!("{value} ({low} to {high})")
+        };
+        let mut cells = vec![
+            row.name.clone(),
+            with_interval(M::DsmRmseM),
+            each.join(" "),
+            with_interval(M::DsmMaeM),
+            with_interval(M::BuildingErrorM),
+            with_interval(M::FloatersPct),
+            difference,
+            place(&here, at),
+        ];
+        if paper {
+            let order = row.order.map_or("-", |order| match order {
+                Order::AsInThePaper => "as in the paper",
+                Order::TheOtherWay => "the other way",
+                Order::Undecided => "undecided",
+            });
+            let rmse = row.paper_rmse_m.map_or_else(|| "-".into(), two);
+            cells.extend([rmse, place(&there, at), order.into()]);
+        }
+        writeln!(out, "| {} |", cells.join(" | "))?;
+    }
+    let words = "Means over the trainings of a variant";
+    writeln!(
+        out,
+        "\n{words}, on {scenes} scenes; {level_pct} % intervals of {replicates} draws of scenes (the same for \
+         all) and of trainings."
+    )
+}
+
+fn two(value: f64) -> String {
+    if value.is_finite() { format!("{value:.2}") } else { "-".into() }
+}
+
+fn signed(value: f64) -> String {
+    if value.is_finite() { format!("{value:+.2}") } else { "-".into() }
+}
+
+/// Place of one among values, from the least, which is 1; equals share a place.
+fn place(values: &[Option<f64>], at: usize) -> String {
+    let Some(own) = values[at].filter(|value| value.is_finite()) else { return "-".into() };
+    (1 + values.iter().flatten().filter(|value| **value < own).count()).to_string()
 }

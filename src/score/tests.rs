@@ -23,7 +23,7 @@ fn house(height: f32) -> (Vec<f32>, Vec<u8>) {
 }
 
 /// The score of a scene whose house is `truth` m high, in the DSM `found` m and in the mesh `mesh` m.
-fn image(place: [u64; 2], truth: f32, found: f32, mesh: f32, floaters: u64) -> ImageScore {
+pub(super) fn image(place: [u64; 2], truth: f32, found: f32, mesh: f32, floaters: u64) -> ImageScore {
     let (surface, classes) = house(truth);
     // Another datum: it is taken out.
     let dsm_m = house(found).0.into_iter().map(|height| height - 90.0).collect();
@@ -45,7 +45,7 @@ fn report(images: Vec<ImageScore>, seeds: &[u64]) -> Report {
     Report::new(options, images, Seconds { network: 0.0, dsm: 0.0 })
 }
 
-fn close(found: f64, known: f64) {
+pub(super) fn close(found: f64, known: f64) {
     assert!((found - known).abs() < 1e-9 * known.abs().max(1.0), "{found} against {known}");
 }
 

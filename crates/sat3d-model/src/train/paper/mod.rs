@@ -136,7 +136,7 @@ impl PaperLearner<MiniMap> {
         let config = mini.config(0)?;
         let device = device.open()?.autodiff();
         let mut start = mini::fresh(&config, settings.seed);
-        soften(&mut start, config.point_features());
+        soften(&mut start, config.point_features(), config.scale);
         let source = Named::new(start);
         let generator = Generator::mini(&config, &source, &device)?;
         let shape = Shape::of(&config);
@@ -145,8 +145,10 @@ impl PaperLearner<MiniMap> {
 }
 
 /// Spreads the surface that the small network starts with over about the distance of two samples: rays
-/// see where a sharp one lies no better than to a sample, and nothing of how to move it.
-fn soften(start: &mut [NamedTensor], inputs: usize) {
+/// see where a sharp one lies no better than to a sample, and nothing of how to move it. The crop covers
+/// `[-scale, scale]`, and its cameras are as much nearer to the cube's middle as they are without a border;
+/// so is the ground that they stand over.
+fn soften(start: &mut [NamedTensor], inputs: usize, scale: f64) {
     /// Of the surface's hidden unit in z.
     const SHARPNESS: f32 = 0.1;
     /// Of that unit in the density: opaque half a sample below the surface.
@@ -154,7 +156,7 @@ fn soften(start: &mut [NamedTensor], inputs: usize) {
     for tensor in start {
         let (count, factor) = match tensor.name.as_str() {
             "mlp.net0.weight" => (inputs, SHARPNESS),
-            "mlp.net0.bias" => (1, SHARPNESS),
+            "mlp.net0.bias" => (1, SHARPNESS * scale as f32),
             "mlp.net1_density.weight" => (1, OPAQUENESS),
             _ => continue,
         };
