@@ -23,7 +23,13 @@ fn house(height: f32) -> (Vec<f32>, Vec<u8>) {
 }
 
 /// The score of a scene whose house is `truth` m high, in the DSM `found` m and in the mesh `mesh` m.
-pub(super) fn image(place: [u64; 2], truth: f32, found: f32, mesh: f32, floaters: u64) -> ImageScore {
+pub(super) fn image(
+    place: [u64; 2],
+    truth: f32,
+    found: f32,
+    mesh: f32,
+    floaters: u64,
+) -> ImageScore {
     let (surface, classes) = house(truth);
     // Another datum: it is taken out.
     let dsm_m = house(found).0.into_iter().map(|height| height - 90.0).collect();
