@@ -2,7 +2,7 @@
 
 use super::factory::parameters;
 use super::run::Prepared;
-use super::settings::{DataSource, ModelKind, ObjectiveKind};
+use super::settings::{DataSource, ModelKind, ObjectiveKind, Symmetries};
 use crate::plan::{Bound, Plan, Step};
 use serde_json::Map;
 
@@ -159,14 +159,14 @@ fn data_steps(prepared: &Prepared) -> Vec<Step> {
         }
         _ => {
             let simulated = &data.simulated;
-            let crops = if simulated.symmetries {
-                "random crops, turned and mirrored"
-            } else {
-                "random crops"
+            let crops = match simulated.symmetries {
+                Symmetries::None => "random crops",
+                Symmetries::Mirror => "random crops, mirrored east to west",
+                Symmetries::Square => "random crops, turned and mirrored",
             };
             steps.push(step(
                 "augment",
-                simulated.symmetries || simulated.colour > 0.0,
+                simulated.symmetries != Symmetries::None || simulated.colour > 0.0,
                 format!("{crops}, colours moved by {}", simulated.colour),
                 ["none to speak of", "data.simulated", "keyed by seed and draw"],
             ));

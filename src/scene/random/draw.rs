@@ -72,12 +72,12 @@ fn season(draw: &mut Draw) -> Season {
 }
 
 fn terrain(draw: &mut Draw, kind: Kind) -> TerrainSpec {
-    // Most of a city is nearly level.
+    // Most of a city is nearly level: half of the scenes fall by less than an eighth of `most`.
     let steep = draw.unit();
     let most = match kind {
-        Kind::Forest | Kind::Suburb | Kind::Park => 18.0,
+        Kind::Forest | Kind::Suburb | Kind::Park => 10.0,
         Kind::Waterfront => 2.0,
-        _ => 9.0,
+        _ => 5.0,
     };
     TerrainSpec {
         base_height_metres: draw.range(20.0, 90.0),
@@ -187,21 +187,21 @@ fn trees(draw: &mut Draw, kind: Kind) -> TreeSpec {
 }
 
 fn sun(draw: &mut Draw) -> Option<SunSpec> {
-    if draw.chance(0.07) {
+    if draw.chance(0.05) {
         return None;
     }
-    // Most pictures are taken around noon; some come turned.
-    let azimuth =
-        if draw.chance(0.75) { 180.0 + draw.range(-70.0, 70.0) } else { draw.range(0.0, 360.0) };
+    // Satellites that look for a city pass before noon, aeroplanes fly around it; the city lies at 47 degrees
+    // north, and its pictures have north at the top.
+    let azimuth = 180.0 + draw.range(-60.0, 60.0);
     let high = 0.5 * (draw.unit() + draw.unit());
-    Some(SunSpec { azimuth_degrees: azimuth, elevation_degrees: 18.0 + 47.0 * high })
+    Some(SunSpec { azimuth_degrees: azimuth, elevation_degrees: 22.0 + 42.0 * high })
 }
 
 fn view(draw: &mut Draw) -> Option<ViewSpec> {
-    if draw.chance(0.2) {
+    if draw.chance(0.25) {
         return None;
     }
-    let off = if draw.chance(0.12) { draw.range(12.0, 25.0) } else { 12.0 * draw.unit() };
+    let off = if draw.chance(0.06) { draw.range(10.0, 22.0) } else { 10.0 * draw.unit() };
     Some(ViewSpec { off_nadir_degrees: off, azimuth_degrees: draw.range(0.0, 360.0) })
 }
 
@@ -212,7 +212,7 @@ fn relief(draw: &mut Draw, kind: Kind) -> f64 {
     match (hills, kind) {
         (false, _) => 0.0,
         (true, Kind::Waterfront) => height,
-        (true, _) => 10.0 * height,
+        (true, _) => 6.0 * height,
     }
 }
 

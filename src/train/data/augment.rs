@@ -1,6 +1,7 @@
 //! Crops, symmetries of the square, and colour changes.
 
 use crate::random::Draw;
+use crate::train::settings::Symmetries;
 
 /// One of the eight symmetries of the square: where each target pixel comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -14,9 +15,14 @@ impl Symmetry {
     /// The identity.
     pub(super) const NONE: Self = Self(0);
 
-    /// Any of the eight.
-    pub(super) fn draw(draw: &mut Draw) -> Self {
-        Self(draw.index(8) as u8)
+    /// Any of those served. All choices take one draw.
+    pub(super) fn draw(served: Symmetries, draw: &mut Draw) -> Self {
+        let any = draw.index(8) as u8;
+        Self(match served {
+            Symmetries::None => 0,
+            Symmetries::Mirror => any & 1,
+            Symmetries::Square => any,
+        })
     }
 
     /// The source column and row of a target pixel, in a square of `side` pixels.
@@ -80,11 +86,10 @@ impl Crop {
     }
 
     /// Anywhere.
-    pub(super) fn draw(whole: usize, side: usize, symmetries: bool, draw: &mut Draw) -> Self {
+    pub(super) fn draw(whole: usize, side: usize, served: Symmetries, draw: &mut Draw) -> Self {
         let room = whole - side + 1;
         let (x, y) = (draw.index(room), draw.index(room));
-        let symmetry = Symmetry::draw(draw);
-        Self { x, y, side, whole, symmetry: if symmetries { symmetry } else { Symmetry::NONE } }
+        Self { x, y, side, whole, symmetry: Symmetry::draw(served, draw) }
     }
 
     /// Anywhere with a place in it, at least an eighth of its side from the border where the larger square allows.
@@ -92,7 +97,7 @@ impl Crop {
         [column, row]: [usize; 2],
         whole: usize,
         side: usize,
-        symmetries: bool,
+        served: Symmetries,
         draw: &mut Draw,
     ) -> Self {
         let mut first = |at: usize| {
@@ -101,8 +106,7 @@ impl Crop {
             low + draw.index(high - low + 1)
         };
         let (x, y) = (first(column), first(row));
-        let symmetry = Symmetry::draw(draw);
-        Self { x, y, side, whole, symmetry: if symmetries { symmetry } else { Symmetry::NONE } }
+        Self { x, y, side, whole, symmetry: Symmetry::draw(served, draw) }
     }
 
     /// Where a place of the larger square lies in the turned window: right and down of its middle, half sides.
@@ -173,11 +177,20 @@ mod tests {
     }
 
     #[test]
+    fn a_mirror_keeps_north_up() {
+        let draw = &mut Draw::new(&[2]);
+        let drawn: Vec<Symmetry> =
+            (0..32).map(|_| Symmetry::draw(Symmetries::Mirror, draw)).collect();
+        assert!(drawn.contains(&Symmetry(0)) && drawn.contains(&Symmetry(1)));
+        assert!(drawn.iter().all(|symmetry| symmetry.moved([0.3, -0.8])[1] == -0.8));
+    }
+
+    #[test]
     fn crops_lie_inside_and_reach_both_ends() {
         let mut draw = Draw::new(&[1]);
         let (mut first, mut last) = (false, false);
         for _ in 0..500 {
-            let crop = Crop::draw(20, 16, true, &mut draw);
+            let crop = Crop::draw(20, 16, Symmetries::Square, &mut draw);
             assert!(crop.x <= 4 && crop.y <= 4);
             first |= crop.x == 0;
             last |= crop.x == 4;
@@ -220,13 +233,13 @@ mod tests {
         let mut draw = Draw::new(&[4]);
         for at in [[0, 0], [63, 63], [20, 41], [32, 5]] {
             for _ in 0..50 {
-                let crop = Crop::around(at, 64, 32, true, &mut draw);
+                let crop = Crop::around(at, 64, 32, Symmetries::Square, &mut draw);
                 assert!(crop.x + 32 <= 64 && crop.y + 32 <= 64);
                 let place = crop.place(at.map(|v| v as f64 + 0.5));
                 assert!(place.iter().all(|v| v.abs() < 1.0), "{at:?} {crop:?}");
             }
         }
-        assert_eq!(Crop::around([5, 9], 32, 32, false, &mut draw), Crop::centre(32, 32));
+        assert_eq!(Crop::around([5, 9], 32, 32, Symmetries::None, &mut draw), Crop::centre(32, 32));
     }
 
     #[test]

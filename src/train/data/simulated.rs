@@ -243,9 +243,11 @@ const fn class(number: u8) -> Class {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::train::settings::Symmetries;
 
     fn settings() -> SimulatedSettings {
         SimulatedSettings {
+            symmetries: Symmetries::Square,
             scenes: 4,
             passes: 2,
             scene_side: 40,
@@ -307,7 +309,8 @@ mod tests {
 
     #[test]
     fn heights_count_from_the_mean_bare_earth_of_the_crop() {
-        let settings = SimulatedSettings { symmetries: false, colour: 0.0, ..settings() };
+        let settings =
+            SimulatedSettings { symmetries: Symmetries::None, colour: 0.0, ..settings() };
         let source = source(&settings);
         for draw in 0..8 {
             let example = source.example(draw, 0).expect("is");

@@ -64,8 +64,8 @@ pub struct SimulatedSettings {
     pub side: usize,
     /// Ground size of a pixel, metres. VIGOR's Seattle images have 0.252 at 256 pixels.
     pub pixel_m: f64,
-    /// Whether crops are turned and mirrored.
-    pub symmetries: bool,
+    /// How crops are turned and mirrored.
+    pub symmetries: Symmetries,
     /// Strength of the colour changes: 0 none; 0.1 moves brightness, contrast and tints by about a tenth.
     pub colour: f64,
     /// Panoramas of each scene, where the objective learns from them; 0 for none.
@@ -90,7 +90,7 @@ impl Default for SimulatedSettings {
             scene_side: 384,
             side: 256,
             pixel_m: 0.252,
-            symmetries: true,
+            symmetries: Symmetries::Mirror,
             colour: 0.1,
             views: 4,
             panorama_width: 512,
@@ -99,6 +99,19 @@ impl Default for SimulatedSettings {
             cache: None,
         }
     }
+}
+
+/// Symmetries of the square under which an example is still one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Symmetries {
+    /// North stays up.
+    None,
+    /// East and west change places: north stays up and the sun in the south, as in real pictures.
+    #[default]
+    Mirror,
+    /// All eight: the sun may come from anywhere.
+    Square,
 }
 
 /// Which labels of a VIGOR folder count.

@@ -23,7 +23,9 @@ mod identity;
 mod objective;
 mod overlay;
 
-pub use data::{DataSettings, DataSource, LabelChoice, Position, SimulatedSettings, VigorSettings};
+pub use data::{
+    DataSettings, DataSource, LabelChoice, Position, SimulatedSettings, Symmetries, VigorSettings,
+};
 pub use identity::difference;
 pub use objective::{Objective, ObjectiveKind, ObjectiveSettings, ObjectiveTerm, PaperForm};
 

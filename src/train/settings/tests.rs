@@ -131,14 +131,14 @@ fn the_command_line_changes_single_settings() {
         "run.seed=5",
         "run.device=cuda:1",
         "objective.heights.slope = 0",
-        "data.simulated.symmetries=false",
+        "data.simulated.symmetries=none",
     ]);
     let settings = settings.expect("parses");
     assert_eq!((settings.run.seed, settings.run.batch), (5, 3));
     assert_eq!(settings.device().expect("a device"), Device::Cuda(1));
     let slope = settings.terms().expect("terms").into_iter().find(|term| term.name == "slope");
     assert_eq!(slope.expect("is one").weight, 0.0);
-    assert!(!settings.data.simulated.symmetries);
+    assert_eq!(settings.data.simulated.symmetries, Symmetries::None);
     for (change, part) in [
         ("run.sede=5", "unknown field `sede`"),
         ("seed", "write key=value"),

@@ -8,15 +8,24 @@
 use super::error::TrainError;
 use super::example::{Class, Example};
 use super::learner::{Exported, Learner, NamedTensor, Outcome, Term};
+use super::losses::height::{class_entropy, smooth_l1, symlog};
 use super::mini::{self, MiniHead, MiniSettings};
-use super::optimiser::{AdamW, AdamWSettings, Average, Named, finite, named_parameters, values};
+use super::optimiser::{
+    AdamW, AdamWSettings, Average, Named, ParameterGradients, named_parameters, values,
+};
 use crate::config::Config;
 use crate::network::Device;
 use crate::network::loader::Loader;
 use crate::network::unet::{Mode, Statistics, UNet, absorb};
 use crate::preprocess::satellite;
-use burn::tensor::{Bool, Int, Tensor, TensorData, activation};
+use burn::module::Module;
+use burn::tensor::{Bool, Int, Tensor, TensorData};
 use serde::{Deserialize, Serialize};
+
+/// Parts of a batch that are learnt from side by side. Each has its own batch norm statistics.
+const PARTS: usize = 2;
+/// Where the smooth L1 distance of logarithms turns from a parabola into a line.
+const LOGARITHM_KNEE: f64 = 0.2;
 
 /// Settings of [`HeightLearner`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -136,54 +145,48 @@ impl HeightLearner {
         rise * 0.5 * (1.0 + libm::cos(std::f64::consts::PI * share))
     }
 
+    /// Weighted terms of one part of a batch.
     fn losses(
         &self,
+        (network, head): (&UNet, &MiniHead),
         step: u64,
         batch: &Batch,
         statistics: &mut Statistics,
     ) -> Vec<(&'static str, Tensor<1>)> {
         let settings = &self.settings;
         let channels = self.config.plane_channels;
-        let planes = self.network.planes(batch.images.clone(), Mode::Train(statistics));
+        let planes = network.planes(batch.images.clone(), Mode::Train(statistics));
         let planes = crop(planes, self.config.pad_tokens());
-        let [count, _, rows, columns] = planes.dims();
         let mut terms = Vec::new();
 
-        let height = double(planes.clone().narrow(1, 0, 1)) * mini::HEIGHT_UNIT_M;
-        let truth = batch.heights.clone();
+        let height = planes.clone().narrow(1, 0, 1) * mini::HEIGHT_UNIT_M;
         let known = batch.unknown.clone();
-        let total = batch.count_known;
-        let mean = |values: Tensor<4>| values.mask_fill(known.clone(), 0.0).sum() / total;
-        let difference = height.clone() - truth.clone();
+        let mean = |values: Tensor<4>| values.mask_fill(known.clone(), 0.0).sum() / batch.known;
+        let difference = height.clone() - batch.heights.clone();
         if settings.logarithm > 0.0 {
-            let distance = symlog(height.clone()) - symlog(batch.objects.clone());
-            terms.push(("logarithm", mean(smooth_l1(distance, 0.2)) * settings.logarithm));
+            let distance = symlog(height) - symlog(batch.objects.clone());
+            let distance = smooth_l1(distance, LOGARITHM_KNEE);
+            terms.push(("logarithm", mean(distance) * settings.logarithm));
         }
         if settings.metric > 0.0 {
             let ramp = (2.0 * step as f64 / settings.steps as f64).min(1.0);
             let weight = settings.metric * (0.1 + 0.9 * ramp);
-            terms.push((
-                "metric",
-                mean(smooth_l1(difference.clone(), settings.metric_knee)) * weight,
-            ));
+            let distance = smooth_l1(difference.clone(), settings.metric_knee);
+            terms.push(("metric", mean(distance) * weight));
         }
         if settings.slope > 0.0 {
-            let of = |axis: usize, values: Tensor<4>| {
-                let length = values.dims()[axis];
-                let next = values.clone().narrow(axis, 1, length - 1);
-                next - values.narrow(axis, 0, length - 1)
-            };
             let masked = difference.mask_fill(known.clone(), 0.0);
-            let steep = [2, 3].map(|axis| of(axis, masked.clone()).abs().sum() / total);
-            let [down, across] = steep;
-            terms.push(("slope", (down + across) * settings.slope));
+            let steep = |axis: usize| {
+                let length = masked.dims()[axis];
+                let next = masked.clone().narrow(axis, 1, length - 1);
+                (next - masked.clone().narrow(axis, 0, length - 1)).abs().sum() / batch.known
+            };
+            terms.push(("slope", (steep(2) + steep(3)) * settings.slope));
         }
         if settings.classes > 0.0 {
             let logits = planes.clone().narrow(1, channels, Class::COUNT);
-            let likelihood = activation::log_softmax(logits, 1);
-            let chosen = likelihood.gather(1, batch.classes.clone());
-            let mean = chosen.sum() / (count * rows * columns) as f64;
-            terms.push(("classes", -mean * settings.classes));
+            let entropy = class_entropy(logits, batch.classes.clone(), &[]);
+            terms.push(("classes", entropy * settings.classes));
         }
         if settings.colour > 0.0 {
             // One texel of sixteen, another one in each step: the head at all of them would take
@@ -193,50 +196,108 @@ impl HeightLearner {
             let surface = features.clone().narrow(1, 0, 1).detach();
             let others = features.narrow(1, 1, channels - 1);
             let features = Tensor::cat(vec![surface, others], 1);
-            let line = self.network.line().detach();
-            let colour = self.head.colour(features, line, some(batch.surface.clone()));
+            let line = network.line().detach();
+            let colour = head.colour(features, line, some(batch.surface.clone()));
             let distance = (colour - some(batch.colours.clone())).abs().mean();
             terms.push(("colour", distance * settings.colour));
         }
         terms
     }
-}
 
-impl Learner for HeightLearner {
-    fn step(&mut self, step: u64, batch: &[Example]) -> Result<Outcome, TrainError> {
-        let batch = Batch::new(batch, &self.config, &self.device)?;
+    /// Terms and gradients of one part of a batch, which is `share` of it.
+    fn part(&self, step: u64, examples: &[Example], share: f64) -> Result<Part, TrainError> {
+        let batch = Batch::new(examples, &self.config, &self.device)?;
+        // Parameters of its own: graphs that share one also share a lock, and two threads would wait for
+        // each other.
+        let network = self.network.clone().fork(&self.device);
+        let head = self.head.clone().fork(&self.device);
         let mut statistics = Statistics::new();
-        let terms = self.losses(step, &batch, &mut statistics);
-        let mut logged = Vec::with_capacity(terms.len() + 1);
+        let mut terms = Vec::new();
         let mut total: Option<Tensor<1>> = None;
-        for (name, term) in terms {
+        for (name, term) in self.losses((&network, &head), step, &batch, &mut statistics) {
+            let term = term * share;
             let value = values(&term.clone().without_autodiff());
-            logged.push(Term { name, value: value.first().copied().unwrap_or(f32::NAN) });
+            terms.push(Term { name, value: value.first().copied().unwrap_or(f32::NAN) });
             total = Some(match total {
                 Some(total) => total + term,
                 None => term,
             });
         }
-        let Some(total) = total else {
-            return Ok(Outcome::Skipped("every loss is switched off".into()));
+        let gradients = total.map_or_else(ParameterGradients::default, |total| {
+            let gradients = total.backward();
+            let network = ParameterGradients::of("unet", &network, &gradients);
+            network.plus(ParameterGradients::of("mlp", &head, &gradients))
+        });
+        Ok(Part { terms, gradients, statistics: vec![statistics] })
+    }
+}
+
+/// What a part of a batch says.
+struct Part {
+    terms: Vec<Term>,
+    gradients: ParameterGradients,
+    statistics: Vec<Statistics>,
+}
+
+/// What a thread returned; its panic is ours.
+fn join<T>(thread: std::thread::ScopedJoinHandle<'_, T>) -> T {
+    thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+}
+
+impl Learner for HeightLearner {
+    fn step(&mut self, step: u64, batch: &[Example]) -> Result<Outcome, TrainError> {
+        // Most of `burn`'s operations run on one core: two parts of the batch keep two cores busy. Always as many
+        // parts, so that the result does not depend on the machine.
+        let learner = &*self;
+        let share = |part: &[Example]| part.len() as f64 / batch.len() as f64;
+        let parts: Vec<Result<Part, TrainError>> = std::thread::scope(|scope| {
+            let learn = |part| move || learner.part(step, part, share(part));
+            let threads: Vec<_> = batch
+                .chunks(batch.len().div_ceil(PARTS).max(1))
+                .map(|part| scope.spawn(learn(part)))
+                .collect();
+            threads.into_iter().map(join).collect()
+        });
+        let mut sum = Part {
+            terms: Vec::new(),
+            gradients: ParameterGradients::default(),
+            statistics: Vec::new(),
         };
-        let sum = logged.iter().map(|term| term.value).sum();
-        logged.insert(0, Term { name: "total", value: sum });
-        if !sum.is_finite() {
-            return Ok(Outcome::Skipped(format!("a loss of {sum}")));
+        for part in parts {
+            let Part { terms, gradients, statistics } = part?;
+            if sum.terms.is_empty() {
+                sum.terms = terms;
+            } else {
+                for (sum, term) in sum.terms.iter_mut().zip(terms) {
+                    sum.value += term.value;
+                }
+            }
+            sum.gradients = sum.gradients.plus(gradients);
+            sum.statistics.extend(statistics);
         }
-        let gradients = total.backward();
-        if !finite(&self.network, &gradients) || !finite(&self.head, &gradients) {
+        if sum.terms.is_empty() {
+            return Ok(Outcome::Skipped("every loss is switched off".into()));
+        }
+        let total = sum.terms.iter().map(|term| term.value).sum();
+        sum.terms.insert(0, Term { name: "total", value: total });
+        if !total.is_finite() {
+            return Ok(Outcome::Skipped(format!("a loss of {total}")));
+        }
+        if !sum.gradients.finite() {
             return Ok(Outcome::Skipped("a gradient that is not finite".into()));
         }
         let rate = self.rate(step);
-        let network = self.optimiser.step("unet", self.network.clone(), &gradients, rate);
-        self.network = absorb(network, &statistics, self.settings.momentum);
-        self.head = self.optimiser.step("mlp", self.head.clone(), &gradients, rate);
+        let network = self.optimiser.apply("unet", self.network.clone(), &sum.gradients, rate);
+        let momentum = self.settings.momentum / sum.statistics.len().max(1) as f64;
+        self.network = sum
+            .statistics
+            .iter()
+            .fold(network, |network, statistics| absorb(network, statistics, momentum));
+        self.head = self.optimiser.apply("mlp", self.head.clone(), &sum.gradients, rate);
         self.average.update("unet", &self.network);
         self.average.update("mlp", &self.head);
         self.average.advance();
-        Ok(Outcome::Stepped(logged))
+        Ok(Outcome::Stepped(sum.terms))
     }
 
     fn state(&self) -> Result<Vec<NamedTensor>, TrainError> {
@@ -305,20 +366,21 @@ impl HeightLearner {
     }
 }
 
-/// A batch as tensors.
+/// A batch as tensors, `S/2` texels to a side under an image of `S` pixels.
 struct Batch {
     /// `B x 3 x S x S`, normalised.
     images: Tensor<4>,
-    /// `B x 1 x S x S`, metres, 0 where unknown.
+    /// `B x 1 x S/2 x S/2`, metres, 0 where unknown.
     heights: Tensor<4>,
     /// The same over the ground.
     objects: Tensor<4>,
     /// Where the height is *not* known.
     unknown: Tensor<4, Bool>,
-    count_known: f64,
-    /// `B x 1 x S/2 x S/2`: class of each texel.
+    /// Number of texels where it is, at least 1.
+    known: f64,
+    /// Class of each texel.
     classes: Tensor<4, Int>,
-    /// `B x 1 x S/2 x S/2`: z of the surface in the cube.
+    /// z of the surface in the cube.
     surface: Tensor<4>,
     /// `B x 3 x S/2 x S/2`, [0, 1].
     colours: Tensor<4>,
@@ -335,12 +397,13 @@ impl Batch {
         let area = side * side;
         let count = examples.len();
         let mut images = Vec::with_capacity(3 * area * count);
-        let mut heights = Vec::with_capacity(area * count);
-        let mut objects = Vec::with_capacity(area * count);
-        let mut unknown = Vec::with_capacity(area * count);
-        let mut classes = Vec::with_capacity(half * half * count);
-        let mut surface = Vec::with_capacity(half * half * count);
-        let mut colours = Vec::with_capacity(3 * half * half * count);
+        let texels = half * half * count;
+        let mut heights = Vec::with_capacity(texels);
+        let mut objects = Vec::with_capacity(texels);
+        let mut unknown = Vec::with_capacity(texels);
+        let mut classes = Vec::with_capacity(texels);
+        let mut surface = Vec::with_capacity(texels);
+        let mut colours = Vec::with_capacity(3 * texels);
         for example in examples {
             let fails = |what: String| TrainError::Example { example: example.name.clone(), what };
             let Some(truth) = &example.truth else {
@@ -364,21 +427,24 @@ impl Batch {
                 )));
             }
             images.extend(satellite(&example.satellite, side)?.data);
-            let metres = &truth.surface.data;
-            heights.extend(metres.iter().map(|h| if h.is_finite() { *h } else { 0.0 }));
-            let over =
-                metres.iter().zip(&truth.ground.data).map(|(surface, ground)| surface - ground);
-            objects.extend(over.map(|h| if h.is_finite() { h } else { 0.0 }));
-            unknown.extend(metres.iter().map(|h| !h.is_finite()));
+            let four = |values: &[f32], first: usize| {
+                0.25 * (values[first]
+                    + values[first + 1]
+                    + values[first + side]
+                    + values[first + side + 1])
+            };
             for row in 0..half {
                 for column in 0..half {
-                    let places = [0, 1, side, side + 1].map(|d| 2 * row * side + 2 * column + d);
-                    // Of four pixels the one that differs least from both extremes is none; the first will do.
-                    classes.push(truth.classes[places[0]] as i32);
-                    let mean =
-                        places.iter().map(|p| metres[*p]).filter(|h| h.is_finite()).sum::<f32>()
-                            / 4.0;
-                    surface.push(mini::z_of(mean));
+                    let first = 2 * (row * side + column);
+                    // Not finite where one of the four pixels is not.
+                    let metres = four(&truth.surface.data, first);
+                    let over = metres - four(&truth.ground.data, first);
+                    let known = metres.is_finite() && over.is_finite();
+                    heights.push(if known { metres } else { 0.0 });
+                    objects.push(if known { over } else { 0.0 });
+                    unknown.push(!known);
+                    classes.push(truth.classes[first] as i32);
+                    surface.push(mini::z_of(if known { metres } else { 0.0 }));
                 }
             }
             for channel in 0..3 {
@@ -395,17 +461,18 @@ impl Batch {
                 }
             }
         }
-        let count_known = unknown.iter().filter(|unknown| !**unknown).count().max(1) as f64;
+        let known = unknown.iter().filter(|unknown| !**unknown).count().max(1) as f64;
         let grid = |values: Vec<f32>, channels: usize, side: usize| {
             Tensor::from_data(TensorData::new(values, [count, channels, side, side]), device)
         };
+        let shape = [count, 1, half, half];
         Ok(Self {
             images: grid(images, 3, side),
-            heights: grid(heights, 1, side),
-            objects: grid(objects, 1, side),
-            unknown: Tensor::from_data(TensorData::new(unknown, [count, 1, side, side]), device),
-            count_known,
-            classes: Tensor::from_data(TensorData::new(classes, [count, 1, half, half]), device),
+            heights: grid(heights, 1, half),
+            objects: grid(objects, 1, half),
+            unknown: Tensor::from_data(TensorData::new(unknown, shape), device),
+            known,
+            classes: Tensor::from_data(TensorData::new(classes, shape), device),
             surface: grid(surface, 1, half),
             colours: grid(colours, 3, half),
         })
@@ -427,33 +494,5 @@ fn one_of_sixteen(map: Tensor<4>, step: u64) -> Tensor<4> {
     map.narrow(3, row, 1).narrow(5, column, 1).reshape([batch, channels, rows / 4, columns / 4])
 }
 
-/// Twice the size, bilinearly (pixels are areas), zeros around: as the field reads its plane.
-fn double(map: Tensor<4>) -> Tensor<4> {
-    let along = |map: Tensor<4>, axis: usize| {
-        let dims = map.dims();
-        let length = dims[axis];
-        let edge = map.zeros_like().narrow(axis, 0, 1);
-        let before = Tensor::cat(vec![edge.clone(), map.clone().narrow(axis, 0, length - 1)], axis);
-        let after = Tensor::cat(vec![map.clone().narrow(axis, 1, length - 1), edge], axis);
-        let even = map.clone() * 0.75 + before * 0.25;
-        let odd = map * 0.75 + after * 0.25;
-        let mut doubled = dims;
-        doubled[axis] *= 2;
-        // Interleaved: a new axis of two behind this one.
-        let pairs: Tensor<5> = Tensor::stack(vec![even, odd], axis + 1);
-        pairs.reshape(doubled)
-    };
-    along(along(map, 2), 3)
-}
-
-/// `sign(h) log(1 + |h|)`.
-fn symlog(height: Tensor<4>) -> Tensor<4> {
-    height.clone().sign() * height.abs().log1p()
-}
-
-/// `d^2 / 2 knee` below the knee, `|d| - knee / 2` above.
-fn smooth_l1(difference: Tensor<4>, knee: f64) -> Tensor<4> {
-    let size = difference.abs();
-    let inside = size.clone().clamp_max(knee);
-    inside.clone() * inside.clone() / (2.0 * knee) + (size - inside)
-}
+#[cfg(test)]
+mod tests;

@@ -71,6 +71,19 @@ impl AdamW {
         gradients: &Gradients,
         scale: f64,
     ) -> M {
+        let gradients = ParameterGradients::of(prefix, &module, gradients);
+        self.apply(prefix, module, &gradients, scale)
+    }
+
+    /// The same with gradients that were taken out of their graphs.
+    #[must_use]
+    pub fn apply<M: Module>(
+        &mut self,
+        prefix: &str,
+        module: M,
+        gradients: &ParameterGradients,
+        scale: f64,
+    ) -> M {
         module.map(&mut Step { optimiser: self, path: path_of(prefix), gradients, scale })
     }
 
@@ -141,7 +154,7 @@ impl AdamW {
 struct Step<'a> {
     optimiser: &'a mut AdamW,
     path: Vec<String>,
-    gradients: &'a Gradients,
+    gradients: &'a ParameterGradients,
     scale: f64,
 }
 
@@ -155,14 +168,15 @@ impl ModuleMapper for Step<'_> {
     }
 
     fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
-        let Some(gradient) = param.val().grad(self.gradients) else { return param };
+        let path = self.path.join(".");
+        let Some(gradient) = self.gradients.0.get(&path) else { return param };
+        let gradient = gradient.clone();
         let AdamWSettings { learning_rate, beta1, beta2, epsilon, weight_decay } =
             self.optimiser.settings;
         let rate = learning_rate * self.scale;
-        let shape = gradient.dims();
+        let shape = param.val().dims();
         let length = shape.iter().product::<usize>();
-        let gradient: Tensor<1> = gradient.without_autodiff().reshape([length]);
-        let moments = self.optimiser.moments.entry(self.path.join(".")).or_insert_with(|| {
+        let moments = self.optimiser.moments.entry(path).or_insert_with(|| {
             let zeros = Tensor::zeros([length], &gradient.device());
             Moments { steps: 0, shape: shape.to_vec(), mean: zeros.clone(), square: zeros }
         });
@@ -299,25 +313,66 @@ pub fn named_parameters<M: Module>(prefix: &str, module: &M) -> Vec<NamedTensor>
     reader.found
 }
 
+/// Gradients of a module's parameters by their paths, flat and without their graph.
+#[derive(Clone, Debug, Default)]
+pub struct ParameterGradients(BTreeMap<String, Tensor<1>>);
+
+impl ParameterGradients {
+    /// Those of the parameters that have one; `prefix` is the module's place in the checkpoint.
+    #[must_use]
+    pub fn of<M: Module>(prefix: &str, module: &M, gradients: &Gradients) -> Self {
+        struct Reader<'a> {
+            path: Vec<String>,
+            gradients: &'a Gradients,
+            found: BTreeMap<String, Tensor<1>>,
+        }
+        impl ModuleVisitor for Reader<'_> {
+            fn enter_module(&mut self, name: &str, _container: &str) {
+                self.path.push(name.into());
+            }
+            fn exit_module(&mut self, _name: &str, _container: &str) {
+                self.path.pop();
+            }
+            fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+                if let Some(gradient) = param.val().grad(self.gradients) {
+                    let length = gradient.dims().iter().product::<usize>();
+                    let flat = gradient.without_autodiff().reshape([length]);
+                    self.found.insert(self.path.join("."), flat);
+                }
+            }
+        }
+        let mut reader = Reader { path: path_of(prefix), gradients, found: BTreeMap::new() };
+        module.visit(&mut reader);
+        Self(reader.found)
+    }
+
+    /// The sum with another part's. The order of parts decides the last bits.
+    #[must_use]
+    pub fn plus(mut self, other: Self) -> Self {
+        for (path, gradient) in other.0 {
+            let sum = match self.0.remove(&path) {
+                Some(mine) => mine + gradient,
+                None => gradient,
+            };
+            self.0.insert(path, sum);
+        }
+        self
+    }
+
+    /// Whether every one is finite.
+    #[must_use]
+    pub fn finite(&self) -> bool {
+        // One number says it for a tensor: infinity and NaN survive a sum of absolute values.
+        self.0.values().all(|gradient| {
+            values(&gradient.clone().abs().sum()).iter().all(|value| value.is_finite())
+        })
+    }
+}
+
 /// Whether every gradient of the module's parameters is finite.
 #[must_use]
 pub fn finite<M: Module>(module: &M, gradients: &Gradients) -> bool {
-    struct Check<'a> {
-        gradients: &'a Gradients,
-        finite: bool,
-    }
-    impl ModuleVisitor for Check<'_> {
-        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-            if let Some(gradient) = param.val().grad(self.gradients) {
-                // One number says it for all: infinity and NaN survive a sum of absolute values.
-                let sum = gradient.without_autodiff().abs().sum();
-                self.finite &= values(&sum).iter().all(|value| value.is_finite());
-            }
-        }
-    }
-    let mut check = Check { gradients, finite: true };
-    module.visit(&mut check);
-    check.finite
+    ParameterGradients::of("", module, gradients).finite()
 }
 
 /// Named tensors as a source of weights, to load modules from.
