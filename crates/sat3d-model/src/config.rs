@@ -14,6 +14,7 @@ mod reader;
 mod small;
 
 use reader::Reader;
+#[cfg(feature = "train")]
 pub(crate) use small::STYLE as SMALL_STYLE;
 use small::small;
 

@@ -102,7 +102,6 @@ impl Conv {
         };
         let (weight, bias) = (self.weight.val(), self.bias.as_ref().map(Param::val));
         // What is rendered goes through the backend's own kernel, with or without the feature.
-        #[cfg(feature = "train")]
         if side == 3 && self.stride == 1 && input.is_autodiff() {
             return trained(input, weight, bias, 1 - zeros);
         }
@@ -113,10 +112,9 @@ impl Conv {
 
 /// A 3 x 3 convolution in training; `rim` pixels on each side of the input are a border of their own, for
 /// which nothing is asked.
-#[cfg(feature = "train")]
 fn trained(input: Tensor<4>, weight: Tensor<4>, bias: Option<Tensor<1>>, rim: usize) -> Tensor<4> {
     let [outputs, ..] = weight.dims();
-    let mut map = crate::train::convolution::convolve(input, weight);
+    let mut map = super::convolution::convolve(input, weight);
     if rim > 0 {
         let [_, _, height, width] = map.dims();
         map = map.narrow(2, rim, height - 2 * rim).narrow(3, rim, width - 2 * rim);

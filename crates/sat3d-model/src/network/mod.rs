@@ -8,11 +8,13 @@ use crate::error::ModelError;
 use crate::tensor::Grid;
 
 mod burned;
+pub(crate) mod convolution;
 pub(crate) mod decoder;
 pub(crate) mod device;
 pub(crate) mod encoder;
 pub(crate) mod layers;
 pub(crate) mod loader;
+pub(crate) mod normalisation;
 pub(crate) mod probe;
 pub(crate) mod sky;
 mod small;

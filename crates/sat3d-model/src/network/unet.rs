@@ -12,14 +12,13 @@
 
 use super::layers::{LayerNorm, Linear};
 use super::loader::Loader;
+use super::normalisation::{After, EPSILON, normalise};
 use crate::config::{PATCHES, UNetConfig};
 use crate::error::ModelError;
 use burn::module::{Module, Param};
 use burn::tensor::ops::{ConvOptions, PadMode};
 use burn::tensor::{Tensor, activation, module};
 
-/// Added to a batch norm's variance.
-pub(crate) const NORM_EPSILON: f64 = 1e-5;
 /// Pixels along a side of the first patches.
 pub(crate) const STEM: usize = 4;
 /// Texels of the plane along a side of each place of the uppermost level.
@@ -33,6 +32,7 @@ pub(crate) enum Mode<'a> {
     /// Norms are folded, or use their running statistics.
     Evaluate,
     /// Norms use the batch's statistics and report them.
+    #[cfg_attr(not(feature = "train"), expect(dead_code, reason = "only training passes it"))]
     Train(&'a mut Statistics),
 }
 
@@ -95,9 +95,7 @@ impl NormConv {
         let bias = self.bias.val();
         let map = match (&self.norm, mode) {
             (None, _) => map + bias.reshape(shape),
-            #[cfg(feature = "train")]
             (Some(norm), Mode::Train(statistics)) => {
-                use crate::train::normalisation::{After, normalise};
                 let after = if relu { After::Relu } else { After::Nothing };
                 let (map, [mean, variance]) =
                     normalise(map, norm.weight.val(), bias, residual, after);
@@ -106,7 +104,7 @@ impl NormConv {
             }
             (Some(norm), _) => {
                 let (mean, variance) = (norm.running_mean.val(), norm.running_var.val());
-                let scale = norm.weight.val() * (variance + NORM_EPSILON).sqrt().recip();
+                let scale = norm.weight.val() * (variance + EPSILON).sqrt().recip();
                 let shift = bias - mean * scale.clone();
                 map * scale.reshape(shape) + shift.reshape(shape)
             }
@@ -122,9 +120,8 @@ impl NormConv {
 /// The convolution alone.
 fn plain(input: Tensor<4>, weight: Tensor<4>, stride: usize) -> Tensor<4> {
     let [outputs, inputs, side, _] = weight.dims();
-    #[cfg(feature = "train")]
     if side == 3 && stride == 1 {
-        return crate::train::convolution::convolve(input, weight);
+        return super::convolution::convolve(input, weight);
     }
     if side == 1 || stride == side {
         // Patches as columns of one product.

@@ -3,7 +3,7 @@
 //!
 //! Made of `burn`'s own operations, each tap is a pass of its own over all samples and leaves a tensor behind.
 //! On the processor this is one pass with a derivative of its own, an extension of the backend as
-//! [`super::convolution`] is.
+//! [`crate::network::convolution`] is.
 
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;

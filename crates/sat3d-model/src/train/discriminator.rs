@@ -6,15 +6,14 @@
 //! because the slope of a leaky ReLU is piecewise constant.
 
 use super::learner::NamedTensor;
-use crate::random::{Draw, normal};
+use super::losses::spectral::Spectral;
+use crate::random::Draw;
 use burn::module::{Module, Param};
 use burn::tensor::ops::{ConvOptions, ConvTransposeOptions};
 use burn::tensor::{Device, Tensor, TensorData, activation, module};
 
 const LEAK: f64 = 0.2;
 const INSTANCE_EPSILON: f64 = 1e-5;
-/// Least length that a vector of the power iteration is divided by.
-const LEAST_LENGTH: f32 = 1e-12;
 
 /// A discriminator of pictures of one size.
 #[derive(Module, Debug)]
@@ -72,7 +71,7 @@ impl Discriminator {
     pub(crate) fn buffers(&self, prefix: &str) -> Vec<NamedTensor> {
         let mut list = Vec::new();
         for (layer, conv) in self.encoder.iter().enumerate() {
-            for (name, vector) in [("u", &conv.left), ("v", &conv.right)] {
+            for (name, vector) in [("u", &conv.spectral.u), ("v", &conv.spectral.v)] {
                 let values: Vec<f32> = vector.clone().into_data().iter::<f32>().collect();
                 let name = format!("{prefix}.encoder.{layer}.{name}");
                 list.push(NamedTensor { name, shape: vec![values.len()], values });
@@ -84,9 +83,11 @@ impl Discriminator {
     /// Puts back what [`Self::buffers`] gave, in its order.
     pub(crate) fn set_buffers(&mut self, buffers: &[NamedTensor]) {
         for (conv, pair) in self.encoder.iter_mut().zip(buffers.chunks_exact(2)) {
-            let device = conv.left.device();
-            conv.left = vector(pair[0].values.clone(), &device);
-            conv.right = vector(pair[1].values.clone(), &device);
+            let device = conv.spectral.u.device();
+            conv.spectral = Spectral {
+                u: vector(pair[0].values.clone(), &device),
+                v: vector(pair[1].values.clone(), &device),
+            };
         }
     }
 }
@@ -119,12 +120,9 @@ struct Plain {
 struct NormedConv {
     weight: Param<Tensor<4>>,
     bias: Param<Tensor<1>>,
-    /// Left singular vector, as far as the power iteration has it; without gradient.
+    /// Without gradient.
     #[module(skip)]
-    left: Tensor<1>,
-    /// Right singular vector.
-    #[module(skip)]
-    right: Tensor<1>,
+    spectral: Spectral,
 }
 
 impl NormedConv {
@@ -132,39 +130,17 @@ impl NormedConv {
         let bound = 1.0 / (inputs as f64 * 9.0).sqrt();
         let weight = uniform(&mut draw, [outputs, inputs, 3, 3], bound, device);
         let bias = uniform(&mut draw, [outputs], bound, device);
-        let plain = device.clone().inner();
-        let mut direction = |count: usize| {
-            let values = (0..count).map(|_| normal(draw.bits()) as f32).collect();
-            unit(vector(values, &plain))
-        };
-        let left = direction(outputs);
-        let right = direction(9 * inputs);
-        Self { weight, bias, left, right }
+        let spectral = Spectral::start(weight.dims(), draw.bits(), &device.clone().inner());
+        Self { weight, bias, spectral }
     }
 
     fn normed(&mut self, training: bool) -> Layer {
         let weight = self.weight.val();
-        let [outputs, inputs, _, _] = weight.dims();
-        let matrix: Tensor<2> = weight.clone().reshape([outputs, 9 * inputs]);
         if training {
-            let plain = matrix.clone().inner();
-            self.right = unit(times(plain.clone().transpose(), &self.left));
-            self.left = unit(times(plain, &self.right));
+            self.spectral = self.spectral.iterate(&weight.clone().inner());
         }
-        let largest = (times(matrix, &self.right) * self.left.clone()).sum();
-        let weight = weight / largest.reshape([1, 1, 1, 1]);
-        Layer { weight, bias: self.bias.val() }
+        Layer { weight: self.spectral.normalise(weight), bias: self.bias.val() }
     }
-}
-
-fn times(matrix: Tensor<2>, vector: &Tensor<1>) -> Tensor<1> {
-    let [rows, columns] = matrix.dims();
-    matrix.matmul(vector.clone().reshape([columns, 1])).reshape([rows])
-}
-
-fn unit(vector: Tensor<1>) -> Tensor<1> {
-    let length = vector.clone().powi_scalar(2).sum().sqrt().clamp_min(LEAST_LENGTH);
-    vector / length
 }
 
 struct Layer {
@@ -267,112 +243,4 @@ pub(crate) fn gradient_penalty(slope: Tensor<4>) -> Tensor<1> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn pictures(count: usize, height: usize, width: usize, seed: u64) -> Tensor<4> {
-        let mut draw = Draw::new(&[seed]);
-        let values: Vec<f32> =
-            (0..count * 3 * height * width).map(|_| draw.range(-1.0, 1.0) as f32).collect();
-        let data = TensorData::new(values, [count, 3, height, width]);
-        Tensor::from_data(data, &Device::flex().autodiff())
-    }
-
-    fn small(seed: u64) -> Discriminator {
-        Discriminator::new(16, 16, &[seed], &Device::flex().autodiff())
-    }
-
-    #[test]
-    fn layers_are_those_of_the_release() {
-        assert_eq!(widths(256, 512), [64, 128, 256, 512, 512, 512]);
-        assert_eq!(widths(128, 512), [64, 128, 256, 512, 512]);
-        assert_eq!(widths(32, 64), [8, 16, 32]);
-        assert_eq!(widths(1, 4).len(), 2);
-    }
-
-    #[test]
-    fn a_written_out_slope_is_that_of_autodiff() {
-        let mut critic = small(1);
-        for (height, width) in [(16, 16), (8, 32), (15, 18)] {
-            let pass = critic.pass(true);
-            let input = pictures(2, height, width, 5).require_grad();
-            let (scores, slope) = pass.score_and_slope(input.clone());
-            let wanted = input.grad(&scores.sum().backward()).expect("a gradient");
-            let error: f32 = (slope.inner() - wanted.clone()).abs().max().into_scalar();
-            let size: f32 = wanted.abs().max().into_scalar();
-            assert!(error < 1e-5 * size.max(1e-3), "{height} x {width}: {error} of {size}");
-        }
-    }
-
-    #[test]
-    fn gradients_of_the_penalty_agree_with_differences() {
-        let mut critic = small(2);
-        for _ in 0..20 {
-            critic.pass(true);
-        }
-        let input = pictures(2, 16, 16, 6);
-        let penalty = |critic: &mut Discriminator| {
-            gradient_penalty(critic.pass(false).score_and_slope(input.clone()).1)
-        };
-        let gradients = penalty(&mut critic).backward();
-        for layer in 0..critic.encoder.len() {
-            let weight = critic.encoder[layer].weight.val();
-            let shape = weight.dims();
-            let gradient = weight.grad(&gradients).expect("a gradient").into_data();
-            let gradient: Vec<f32> = gradient.iter::<f32>().collect();
-            let values: Vec<f32> = weight.into_data().iter::<f32>().collect();
-            let length = gradient.iter().map(|g| f64::from(*g) * f64::from(*g)).sum::<f64>().sqrt();
-            let mut at = |step: f64| {
-                let moved = values.iter().zip(&gradient);
-                let moved: Vec<f32> = moved
-                    .map(|(value, g)| (f64::from(*value) + step * f64::from(*g) / length) as f32)
-                    .collect();
-                let data = TensorData::new(moved, shape);
-                critic.encoder[layer].weight = Param::from_data(data, &input.device());
-                f64::from(penalty(&mut critic).into_scalar::<f32>())
-            };
-            let step = 1e-3;
-            let difference = (at(step) - at(-step)) / (2.0 * step);
-            at(0.0);
-            assert!((difference / length - 1.0).abs() < 0.02, "{layer}: {length} {difference}");
-        }
-    }
-
-    #[test]
-    fn weights_come_to_a_largest_singular_value_of_one() {
-        let mut critic = small(3);
-        let before = critic.buffers("d");
-        critic.pass(false);
-        assert_eq!(critic.buffers("d"), before, "a pass that does not train moves nothing");
-        for _ in 0..200 {
-            critic.pass(true);
-        }
-        let weight = critic.pass(false).layers[1].weight.clone().inner();
-        let [rows, inputs, _, _] = weight.dims();
-        let matrix: Tensor<2> = weight.reshape([rows, 9 * inputs]);
-        // The largest singular value by an iteration of its own.
-        let mut vector = vector(vec![1.0; rows], &matrix.device());
-        for _ in 0..500 {
-            vector = unit(times(matrix.clone(), &times(matrix.clone().transpose(), &vector)));
-        }
-        let length: f32 =
-            times(matrix.transpose(), &vector).powi_scalar(2).sum().sqrt().into_scalar();
-        assert!((length - 1.0).abs() < 1e-3, "{length}");
-        let mut other = small(4);
-        other.set_buffers(&critic.buffers("d"));
-        assert_eq!(other.buffers("d"), critic.buffers("d"));
-    }
-
-    #[test]
-    fn a_flat_picture_has_a_finite_penalty() {
-        let mut critic = small(5);
-        let flat = pictures(2, 16, 16, 7) * 0.0;
-        let (_, slope) = critic.pass(true).score_and_slope(flat);
-        let penalty = gradient_penalty(slope);
-        let gradients = penalty.clone().backward();
-        let value: f32 = penalty.into_scalar();
-        let gradient = critic.encoder[0].weight.val().grad(&gradients).expect("a gradient");
-        let largest: f32 = gradient.abs().max().into_scalar();
-        assert!(value.is_finite() && largest.is_finite(), "{value} {largest}");
-    }
-}
+mod tests;

@@ -6,7 +6,8 @@ use crate::config::{Config, SMALL_STYLE};
 use crate::error::ModelError;
 use crate::network::layers::Linear;
 use crate::network::loader::Loader;
-use crate::network::unet::{NORM_EPSILON, TEXELS};
+use crate::network::normalisation::EPSILON;
+use crate::network::unet::TEXELS;
 use crate::random::{key, normal};
 use crate::weights::expected;
 use burn::module::Module;
@@ -265,7 +266,7 @@ pub(crate) fn finished(
             let of = |what: &str| get(&format!("{path}.norm.{what}"));
             let (gain, mean, variance) = (of("weight")?, of("running_mean")?, of("running_var")?);
             let scale = |channel: usize| {
-                gain.values[channel] / (variance.values[channel] + NORM_EPSILON as f32).sqrt()
+                gain.values[channel] / (variance.values[channel] + EPSILON as f32).sqrt()
             };
             if spec.key.ends_with(".bias") {
                 for (channel, value) in tensor.values.iter_mut().enumerate() {

@@ -5,7 +5,6 @@
 //! * [`Learner`]: a model that learns from batches of examples. It knows nothing of files.
 
 mod blend;
-pub mod convolution;
 mod discriminator;
 mod error;
 mod example;
@@ -15,7 +14,6 @@ mod heights;
 mod learner;
 pub mod losses;
 pub mod mini;
-pub mod normalisation;
 pub mod optimiser;
 mod paper;
 mod parameters;

@@ -3,8 +3,7 @@
 //! * [`gravity`]: density must not grow upwards.
 //! * [`depth`]: relative depth from above, up to a scale and a shift.
 //! * [`photometric`]: colours; [`perceptual`] and [`lpips`]: how different pictures look.
-//! * [`adversarial`]: what a discriminator says; [`penalty`], with [`tangent`]: how steeply it may say
-//!   it; [`spectral`]: the norm of its weights.
+//! * [`adversarial`]: what a discriminator says; [`spectral`]: the norm of its weights.
 //! * [`sky`]: where the sky is, and its colours.
 //! * [`height`]: true heights and classes, of simulated scenes.
 //!
@@ -19,15 +18,13 @@ pub mod depth;
 pub mod gravity;
 pub mod height;
 pub mod lpips;
-pub mod penalty;
 pub mod perceptual;
 pub mod photometric;
 pub mod sky;
 pub mod spectral;
-pub mod tangent;
 
 #[cfg(test)]
 mod hard;
 mod safe;
 #[cfg(test)]
-mod testing;
+pub(super) mod testing;

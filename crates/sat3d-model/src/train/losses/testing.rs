@@ -8,7 +8,8 @@ use safetensors::SafeTensors;
 static GOLDENS: &[u8] = include_bytes!("../../../fixtures/losses.safetensors");
 
 /// Numbers of PyTorch and of the package `lpips`; `fixtures/losses_oracle.py` makes them.
-pub(super) static TORCH: &[u8] = include_bytes!("../../../fixtures/losses_torch.safetensors");
+pub(in crate::train) static TORCH: &[u8] =
+    include_bytes!("../../../fixtures/losses_torch.safetensors");
 
 /// Step of the central differences, in `f64`.
 const STEP: f64 = 1e-6;
@@ -24,7 +25,7 @@ pub(super) fn golden<const D: usize>(key: &str) -> Tensor<D> {
 }
 
 /// A tensor of a safetensors file by its name, in `f32`; a scalar has the shape `[1]`.
-pub(super) fn stored<const D: usize>(file: &[u8], key: &str) -> Tensor<D> {
+pub(in crate::train) fn stored<const D: usize>(file: &[u8], key: &str) -> Tensor<D> {
     let file = SafeTensors::deserialize(file).expect("a whole file");
     let view = file.tensor(key).expect(key);
     let values: Vec<f32> = view
@@ -53,7 +54,7 @@ pub(super) fn uniform(seed: u64, count: usize, low: f64, high: f64) -> Vec<f64> 
 }
 
 /// The values of a tensor.
-pub(super) fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
+pub(in crate::train) fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
     tensor.into_data().iter::<f64>().collect()
 }
 
