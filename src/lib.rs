@@ -10,6 +10,7 @@ pub mod dsm_bench;
 pub mod eval;
 pub mod footprint;
 pub mod grid;
+mod html;
 pub mod illumination;
 pub mod infer;
 pub mod lidar;

@@ -282,3 +282,56 @@ fn wrong_scenes_are_refused_with_file_key_and_value() {
     assert!(error.contains("none.toml"), "{error}");
     assert!(!folder.path().join("out").exists());
 }
+
+#[test]
+fn random_scenes_are_those_of_their_seed_and_serve_as_vigor_and_as_truth() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let draw = |seed: &str, threads: &str, out: &Path| {
+        let mut command = sat3d();
+        command.args(["simulate", "--random", "3", "--seed", seed, "--size", "96", "--json"]);
+        run(command.arg("--out").arg(out).env("RAYON_NUM_THREADS", threads), 0)
+    };
+    let made: serde_json::Value =
+        serde_json::from_str(&stdout(&draw("7", "1", &at("one")))).unwrap();
+    draw("7", "2", &at("two"));
+    assert_same(&at("one"), &at("two"), "threads");
+    draw("8", "2", &at("other"));
+    assert_ne!(contents(&at("one")), contents(&at("other")));
+    assert_eq!(made["scenes"], 3);
+
+    // VIGOR's layout, read by the ingest.
+    let mut ingest = sat3d();
+    ingest.args(["vigor", "ingest", "--json"]).arg(at("one/vigor")).arg("--out").arg(at("index"));
+    let summary: serde_json::Value = serde_json::from_str(&stdout(&run(&mut ingest, 0))).unwrap();
+    assert!(made["panoramas"].as_u64().unwrap() > 0);
+    assert_eq!(summary["pairs"], made["panoramas"]);
+
+    // Exact heights, as `sat3d eval` reads truth.
+    let predict = ["-q", "eval", "baseline", "flat", "--gt"];
+    let mut baseline = sat3d();
+    run(baseline.args(predict).arg(at("one/truth")).arg("--out").arg(at("flat")), 0);
+    let mut eval = sat3d();
+    eval.args(["eval", "--json", "--pred"]).arg(at("flat")).arg("--gt").arg(at("one/truth"));
+    let report: serde_json::Value = serde_json::from_str(&stdout(&run(&mut eval, 0))).unwrap();
+    assert!(report.to_string().contains("rmse"), "{report}");
+
+    let mut explained = sat3d();
+    explained.args(["simulate", "--random", "20", "--seed", "7", "--explain"]);
+    let text = stdout(&run(&mut explained, 0));
+    assert!(text.contains("slope") && text.contains("suburb"), "{text}");
+}
+
+#[test]
+fn random_scenes_that_cannot_be_are_refused() {
+    let refused = |arguments: &[&str]| {
+        let mut command = sat3d();
+        stderr(&run(command.arg("simulate").args(arguments), 2))
+    };
+    let text = refused(&["--random", "0", "--out", "/no/such/place"]);
+    assert!(text.contains("--random") || text.contains("at least"), "{text}");
+    let text = refused(&["scene.toml", "--random", "2"]);
+    assert!(text.contains("--random"), "{text}");
+    let text = refused(&["--random", "2", "--size", "1", "--out", "/no/such/place"]);
+    assert!(text.contains("size") || text.contains('1'), "{text}");
+}

@@ -7,10 +7,9 @@ use super::report::picture;
 use crate::batch::write_atomic;
 use crate::footprint::TRAINING_WIDTH_M;
 use crate::model::render::RenderOptions;
-use crate::model::train::{Example, Exported, NamedTensor};
-use crate::model::weights::TensorSource;
-use crate::model::{Config, Device, Mismatch, Model, ModelError};
-use std::collections::HashMap;
+use crate::model::train::optimiser::Named;
+use crate::model::train::{Example, Exported};
+use crate::model::{Config, Device, Model};
 use std::path::{Path, PathBuf};
 
 /// Folder of the pictures in the output folder.
@@ -86,7 +85,7 @@ impl HeldOut {
     /// [`TrainingError::Model`] where the exported model is not one that the program runs; [`TrainingError::Io`].
     pub fn look(&self, step: u64, exported: &Exported) -> Result<Option<Scores>, TrainingError> {
         let config = Config::from_json(&exported.config)?;
-        let source = Box::new(Exports::of(&exported.average));
+        let source = Box::new(Named::new(exported.average.clone()));
         let model = Model::from_source(config, source, &self.device)?;
         let mut sums = Sums::default();
         for (index, example) in self.examples.iter().enumerate() {
@@ -176,28 +175,6 @@ impl Sums {
 fn median(mut values: Vec<f32>) -> f32 {
     let middle = (values.len() - 1) / 2;
     *values.select_nth_unstable_by(middle, f32::total_cmp).1
-}
-
-/// Tensors in memory, by their names.
-struct Exports(HashMap<String, NamedTensor>);
-
-impl Exports {
-    fn of(tensors: &[NamedTensor]) -> Self {
-        Self(tensors.iter().map(|tensor| (tensor.name.clone(), tensor.clone())).collect())
-    }
-}
-
-impl TensorSource for Exports {
-    fn read(&self, key: &str, shape: &[usize]) -> Result<Vec<f32>, ModelError> {
-        let mut mismatch = Mismatch::default();
-        match self.0.get(key) {
-            Some(tensor) if tensor.shape == shape => return Ok(tensor.values.clone()),
-            Some(other) => mismatch.misshaped.push((key.into(), shape.into(), other.shape.clone())),
-            None => mismatch.missing.push(key.into()),
-        }
-        let path = PathBuf::from("(weights in training)");
-        Err(ModelError::Tensors { path, mismatch: Box::new(mismatch) })
-    }
 }
 
 #[cfg(test)]

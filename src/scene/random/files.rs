@@ -240,7 +240,10 @@ impl RandomScenes {
                     row.satellite, panorama.name
                 ));
             }
-            write(&to.vigor.join(format!("Seattle_{split}.txt")), text.as_bytes())?;
+            // Few scenes have no test split; an empty file would be no split file.
+            if !text.is_empty() {
+                write(&to.vigor.join(format!("Seattle_{split}.txt")), text.as_bytes())?;
+            }
         }
         let list: String = rows.iter().map(|row| format!("{}\n", row.satellite)).collect();
         let path = to.vigor.join("splits").join("Seattle").join("satellite_list.txt");

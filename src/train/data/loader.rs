@@ -51,8 +51,10 @@ struct Shared {
 pub struct Loader {
     shared: Arc<Shared>,
     batch: u64,
-    /// Its threads, which also do the parallel work inside an example. Ends with the loader.
-    _pool: rayon::ThreadPool,
+    /// Its threads: pools of one each, so that what is parallel inside an example stays on its thread. In a pool
+    /// of several, a thread that waits for a part of its scene would take up another example, and could wait there
+    /// for a scene that only it can finish. They end with the loader.
+    _threads: Vec<rayon::ThreadPool>,
 }
 
 impl std::fmt::Debug for Loader {
@@ -91,16 +93,19 @@ impl Loader {
             made: Condvar::new(),
             room: Condvar::new(),
         });
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .thread_name(|index| format!("examples-{index}"))
-            .build()
-            .map_err(|error| TrainingError::Example { draw: first, why: error.to_string() })?;
-        for _ in 0..threads {
+        let start = |index: usize| {
+            let thread = rayon::ThreadPoolBuilder::new()
+                .num_threads(1)
+                .thread_name(move |_| format!("examples-{index}"))
+                .build()?;
             let shared = Arc::clone(&shared);
-            pool.spawn(move || shared.work());
-        }
-        Ok(Self { shared, batch, _pool: pool })
+            thread.spawn(move || shared.work());
+            Ok(thread)
+        };
+        let threads = (0..threads).map(start).collect::<Result<_, rayon::ThreadPoolBuildError>>();
+        let threads = threads
+            .map_err(|error| TrainingError::Example { draw: first, why: error.to_string() })?;
+        Ok(Self { shared, batch, _threads: threads })
     }
 
     /// The examples of the next step.

@@ -3,6 +3,7 @@
 use super::super::SkipReason;
 use super::*;
 use crate::model::Image8;
+use rayon::prelude::*;
 use serde_json::Value;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -100,4 +101,47 @@ fn a_panic_is_an_error_and_not_a_wait_for_ever() {
     loader.take().expect("the first is fine");
     let text = loader.take().expect_err("panics").to_string();
     assert!(text.contains("example 3") && text.contains("this source panics"), "{text}");
+}
+
+/// Holds a lock while it works in parallel, as a pool of scenes does.
+struct Locking(Mutex<()>);
+
+impl Source for Locking {
+    fn len(&self) -> usize {
+        1
+    }
+
+    fn example(&self, draw: u64, _: usize) -> Result<Example, Skip> {
+        let _scene = lock(&self.0);
+        (0..64).into_par_iter().for_each(|_| std::thread::sleep(Duration::from_micros(50)));
+        let satellite = Image8 { width: 1, height: 1, channels: 3, data: vec![0; 3] };
+        let name = draw.to_string();
+        Ok(Example { name, satellite, truth: None, street: None, depth: None })
+    }
+
+    fn held_out(&self, _: usize) -> Vec<Example> {
+        Vec::new()
+    }
+
+    fn identity(&self) -> Value {
+        Value::Null
+    }
+
+    fn describe(&self) -> String {
+        "a lock".to_owned()
+    }
+}
+
+#[test]
+fn parallel_work_under_a_lock_does_not_hang() {
+    let (done, waits) = std::sync::mpsc::channel();
+    std::thread::spawn(move || {
+        let source = Arc::new(Locking(Mutex::new(())));
+        let mut loader = Loader::start(source, 0, 20, 4, 3, 2).expect("starts");
+        let batches: Vec<Batch> = (0..20).map(|_| loader.take().expect("a batch")).collect();
+        done.send(batches).expect("is waited for");
+    });
+    let batches =
+        waits.recv_timeout(Duration::from_secs(120)).expect("threads wait for each other");
+    assert_eq!(names(&batches[19]), ["76", "77", "78", "79"]);
 }

@@ -1,5 +1,6 @@
 //! Curves as SVG.
 
+use crate::html::escape;
 use std::fmt::Write as _;
 
 /// Width and height of a chart, in its own units.
@@ -10,24 +11,6 @@ const ROOM: [f64; 4] = [56.0, 14.0, 12.0, 34.0];
 const POINTS: usize = 400;
 /// Largest ratio of values that a linear axis shows.
 const LINEAR: f64 = 30.0;
-
-/// Text that is safe in HTML text and attributes. Control characters become spaces.
-#[must_use]
-pub fn escape(text: &str) -> String {
-    let mut safe = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => safe.push_str("&amp;"),
-            '<' => safe.push_str("&lt;"),
-            '>' => safe.push_str("&gt;"),
-            '"' => safe.push_str("&quot;"),
-            '\'' => safe.push_str("&#39;"),
-            c if c.is_control() => safe.push(' '),
-            c => safe.push(c),
-        }
-    }
-    safe
-}
 
 /// A curve: its name and its points, step and value.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -12,7 +12,8 @@ use std::fmt::{self, Write as _};
 use std::path::{Path, PathBuf};
 
 /// Prefixes of the modules, in the order in which an image passes them.
-const MODULES: [&str; 6] = [
+const MODULES: [&str; 7] = [
+    "unet.",
     "unet_model.dino_model.",
     "unet_model.decoder.",
     "mlp.",

@@ -1,8 +1,9 @@
 //! Charts of errors: histogram, cumulative curve, images against each other.
 
-use super::svg::{Plot, escape, figure, nice_step, px};
+use super::svg::{Plot, figure, nice_step, px};
 use crate::eval::report::number::{fixed, plural};
 use crate::eval::summary::{ErrorHistogram, Evaluation, ImageScores};
+use crate::html::escape;
 
 /// Most evaluations in one chart; there are as many colours.
 pub(super) const SERIES: usize = 6;

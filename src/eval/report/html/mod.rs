@@ -15,8 +15,8 @@ use super::number::{count, plural};
 use super::score::alignment;
 use crate::eval::Surface;
 use crate::eval::summary::{Evaluation, EvaluationSet};
+use crate::html::escape;
 use crate::raster::colour;
-use svg::escape;
 
 const STYLE: &str = include_str!("style.css");
 const SCRIPT: &str = include_str!("script.js");

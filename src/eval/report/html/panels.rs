@@ -2,10 +2,11 @@
 
 use super::Panel;
 use super::charts::quantile;
-use super::svg::{Scale, escape, nice_step, px};
+use super::svg::{Scale, nice_step, px};
 use crate::eval::Surface;
 use crate::eval::report::number::fixed;
 use crate::eval::report::picture;
+use crate::html::escape;
 use crate::raster::colour;
 
 /// Best, median and worst image, or whichever are given. Prediction and truth of an image have the

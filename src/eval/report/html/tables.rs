@@ -1,6 +1,6 @@
 //! The report's tables.
 
-use super::svg::{escape, px};
+use super::svg::px;
 use crate::batch::Status;
 use crate::eval::report::data::flags;
 use crate::eval::report::number::{count, fixed, p_value, plural, range, signed};
@@ -9,6 +9,7 @@ use crate::eval::summary::{
     Difference, Estimate, Evaluation, EvaluationSet, ImageScore, ImageScores, Registration,
     StratumGroup,
 };
+use crate::html::escape;
 
 /// Most images in the table of an evaluation: the best and the worst halves of it.
 const MOST_IMAGES: usize = 2000;
