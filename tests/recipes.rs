@@ -108,6 +108,23 @@ fn a_dry_run_prints_command_lines_and_makes_nothing() {
 }
 
 #[test]
+fn the_model_of_the_program_is_a_name_and_no_path() {
+    let recipe = r#"
+description = "Infers."
+[paths]
+city = "../data/Seattle"
+out = "../made"
+[[step]]
+command = "infer"
+input = "${city}"
+weights = "built-in:mini"
+out = "${out}"
+"#;
+    let output = run(&mut Case::new(recipe).command(&["--dry-run"]), 0);
+    assert_eq!(stdout(&output), "sat3d infer data/Seattle --weights built-in:mini --out made\n");
+}
+
+#[test]
 fn json_is_one_object_with_every_report() {
     let case = Case::new(TWO_STEPS);
     let output = run(&mut case.command(&["--json"]), 0);

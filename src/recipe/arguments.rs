@@ -5,6 +5,7 @@ use super::error::{Error, Place};
 use super::value::{Scalar, Value};
 use super::variables::{Values, join};
 use clap::{Arg, ArgAction, Command};
+use sat3d_model::weights::BuiltIn;
 use std::any::TypeId;
 use std::path::{Path, PathBuf};
 
@@ -101,14 +102,18 @@ impl Step {
             let is_path = arg.get_value_parser().type_id() == TypeId::of::<PathBuf>();
             let texts = texts(arg, key, &value, &place)?;
             let texts: Vec<String> = if is_path && arg.get_action().takes_values() {
-                let full = texts.iter().map(|text| folders.path(text));
-                full.map(|path| {
+                let full = texts.into_iter().map(|text| {
+                    // A name where a folder could stand.
+                    if BuiltIn::named(&text).is_some() {
+                        return text;
+                    }
+                    let path = folders.path(&text);
                     let text = path.to_string_lossy().into_owned();
                     let output = OUTPUTS.contains(&arg.get_id().as_str());
                     paths.push(PathArgument { key: key.clone(), path, output });
                     text
-                })
-                .collect()
+                });
+                full.collect()
             } else {
                 texts
             };
