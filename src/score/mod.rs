@@ -7,7 +7,7 @@
 //! | [`columns`] | the mesh's top and its floaters, from densities on the pixel lattice |
 //! | [`measures`](Measure) | the scores of a set of scenes, with bootstrap intervals |
 //! | [`compare`] | variants of a training against each other, with the order that the paper has |
-//! | [`gates`] | what a model has to reach before it is part of the program |
+//! | [`gates()`] | what a model has to reach before it is part of the program |
 //!
 //! **Scenes**: squares of 64.5 m on 256 px ([`Options`]) about the centres of
 //! [`RandomScenes`]. Their seeds are hashes of the seeds asked for, so that seed 1 here

@@ -1,7 +1,7 @@
 //! `sat3d train`: settings, data, the loop with its checkpoints, and the log.
 //!
 //! The model crate's [`crate::model::train`] knows losses and gradients; here are files. Data flows one way:
-//! [`Settings`] from a TOML file, [`data`] makes examples of them in a seeded order, the loop ([`run`]) hands
+//! [`Settings`] from a TOML file, [`data`] makes examples of them in a seeded order, the loop ([`run()`]) hands
 //! them to a learner and writes checkpoints ([`checkpoint`]), the log and its page ([`report`]).
 //!
 //! The examples of a step, and everything random in it, are functions of the seed and the step's number alone. So

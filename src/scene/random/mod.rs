@@ -1,7 +1,7 @@
 //! Scenes drawn at random, for training and for tests of what was trained: each is a pure function
 //! of a seed and an index, and its heights are exact.
 //!
-//! * [`RandomScenes`]: kinds of place, and the [`SceneSpec`] of each scene ([`draw`]).
+//! * [`RandomScenes`]: kinds of place, and the [`SceneSpec`] of each scene (`draw.rs`).
 //! * [`Sample`]: a square picture with its heights and classes; [`Street`]: a panorama in it.
 
 mod draw;
