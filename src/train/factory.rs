@@ -1,5 +1,6 @@
 //! The learner that the settings name: the one place that knows all of them.
 
+use super::checkpoint::{STATE, read_tensors};
 use super::settings::{ModelKind, Objective, Settings};
 use crate::model::config::RELEASED;
 use crate::model::train::mini::MiniSettings;
@@ -31,8 +32,18 @@ pub fn learner(
     })?;
     match (settings.model.kind, objective) {
         (ModelKind::Mini, Objective::Heights(heights)) => {
-            let mini = mini(settings);
-            Ok(Box::new(HeightLearner::new(mini, heights, *device, seed)?))
+            let mut learner = HeightLearner::new(mini(settings), heights, *device, seed)?;
+            if let Some(start) = &settings.model.start {
+                let wrong = |why: String| TrainError::Setting {
+                    key: "model.start",
+                    value: start.display().to_string(),
+                    why,
+                };
+                let state =
+                    read_tensors(&start.join(STATE)).map_err(|error| wrong(error.to_string()))?;
+                learner.begin_with(&state).map_err(|error| wrong(error.to_string()))?;
+            }
+            Ok(Box::new(learner))
         }
         (ModelKind::Reference, Objective::Paper(paper)) => reference(settings, *device, *paper),
         (ModelKind::Reference, Objective::Heights(_)) => Err(refused(

@@ -1,8 +1,9 @@
 //! What the weights depend on, and what may differ when a training goes on.
 
-use super::{ObjectiveKind, Settings};
+use super::{ModelKind, ObjectiveKind, Settings};
 use crate::batch::OutputFile;
 use crate::model::weights::{WEIGHTS_FILE, locate};
+use crate::train::checkpoint::STATE;
 use crate::train::error::TrainingError;
 use serde_json::{Map, Value, json};
 use std::path::Path;
@@ -26,6 +27,7 @@ impl Settings {
         }
         let config = self.model.config.as_deref().map(hash).transpose()?;
         let start = match &self.model.start {
+            Some(folder) if self.model.kind == ModelKind::Mini => Some(hash(&folder.join(STATE))?),
             Some(folder) => Some(hash(&locate(folder)?.join(WEIGHTS_FILE))?),
             None => None,
         };

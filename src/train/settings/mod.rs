@@ -29,6 +29,7 @@ pub use data::{
 pub use identity::difference;
 pub use objective::{Objective, ObjectiveKind, ObjectiveSettings, ObjectiveTerm, PaperForm};
 
+use super::checkpoint::STATE;
 use super::error::TrainingError;
 use crate::model::Device;
 use crate::model::train::mini::MiniSettings;
@@ -235,6 +236,8 @@ impl Settings {
             }
         }
         let model = &self.model;
+        let paper = self.objective.kind == ObjectiveKind::Paper;
+        let trained = |start: &PathBuf| start.join(STATE).is_file();
         // A setting that would change nothing is a mistake.
         let idle = match model.kind {
             ModelKind::Mini => [
@@ -245,8 +248,8 @@ impl Settings {
                 ),
                 (
                     "model.start",
-                    model.start.is_some(),
-                    "is of kind = \"reference\"; the small network begins with fresh weights",
+                    model.start.as_ref().is_some_and(|start| paper || !trained(start)),
+                    "the small network goes on from a checkpoint folder that `sat3d train` wrote for objective.kind = \"heights\", which is the objective it needs",
                 ),
             ],
             ModelKind::Reference => [

@@ -79,6 +79,7 @@ fn what_is_wrong_is_named_with_its_place_and_what_is_served() {
             "[model]\nkind = \"reference\"\nstart = \"/\"",
             ["`model.kind` = \"reference\"", "true heights"],
         ),
+        ("[model]\nstart = \"/\"", ["`model.start` = \"/\"", "`sat3d train` wrote"]),
         ("[model]\nstart = \"none\"", ["`model.start` = \"/runs/a/none\"", "does not exist"]),
     ] {
         let error = refusal(text);

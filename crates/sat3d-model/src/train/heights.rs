@@ -18,7 +18,7 @@ use crate::network::Device;
 use crate::network::loader::Loader;
 use crate::network::unet::{Mode, Statistics, UNet, absorb};
 use crate::preprocess::satellite;
-use burn::module::Module;
+use burn::module::{Module, ModuleMapper, Param};
 use burn::tensor::{Bool, Int, Tensor, TensorData};
 use serde::{Deserialize, Serialize};
 
@@ -122,6 +122,19 @@ impl HeightLearner {
         })
     }
 
+    /// Begins with the weights of another training's state, norms and all, and with nothing else of it.
+    ///
+    /// # Errors
+    /// [`TrainError::State`] where the state holds no weights, those of the model where they are of another size.
+    pub fn begin_with(&mut self, state: &[NamedTensor]) -> Result<(), TrainError> {
+        let weights = below(state, "weights/");
+        if weights.is_empty() {
+            return Err(TrainError::State("no weights of a small network".into()));
+        }
+        (self.network, self.head) = Self::load(&self.config, &Named::new(weights), &self.device)?;
+        Ok(())
+    }
+
     fn load(
         config: &Config,
         source: &Named,
@@ -209,8 +222,7 @@ impl HeightLearner {
         let batch = Batch::new(examples, &self.config, &self.device)?;
         // Parameters of its own: graphs that share one also share a lock, and two threads would wait for
         // each other.
-        let network = self.network.clone().fork(&self.device);
-        let head = self.head.clone().fork(&self.device);
+        let (network, head) = (own(self.network.clone()), own(self.head.clone()));
         let mut statistics = Statistics::new();
         let mut terms = Vec::new();
         let mut total: Option<Tensor<1>> = None;
@@ -230,6 +242,30 @@ impl HeightLearner {
         });
         Ok(Part { terms, gradients, statistics: vec![statistics] })
     }
+}
+
+/// The module with parameters of its own. Not [`Module::fork`]: that leaves an entry with every parameter it copies
+/// for as long as the original lives, and those that no loss reaches live for the whole training.
+fn own<M: Module>(module: M) -> M {
+    struct Own;
+    impl ModuleMapper for Own {
+        fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+            param.map(|value| {
+                let learns = value.is_require_grad();
+                value.detach().set_require_grad(learns)
+            })
+        }
+    }
+    module.map(&mut Own)
+}
+
+/// The tensors whose names begin so; the beginning is cut off.
+fn below(state: &[NamedTensor], root: &str) -> Vec<NamedTensor> {
+    let under = |tensor: &NamedTensor| {
+        let name = tensor.name.strip_prefix(root)?.to_owned();
+        Some(NamedTensor { name, ..tensor.clone() })
+    };
+    state.iter().filter_map(under).collect()
 }
 
 /// What a part of a batch says.
@@ -322,26 +358,16 @@ impl Learner for HeightLearner {
     }
 
     fn restore(&mut self, state: &[NamedTensor]) -> Result<(), TrainError> {
-        let below = |root: &str| -> Vec<NamedTensor> {
-            let prefix = format!("{root}/");
-            state
-                .iter()
-                .filter_map(|tensor| {
-                    let name = tensor.name.strip_prefix(&prefix)?;
-                    Some(NamedTensor { name: name.to_owned(), ..tensor.clone() })
-                })
-                .collect()
-        };
         let updates = state
             .iter()
             .find(|tensor| tensor.name == "average_updates" && tensor.values.len() == 2)
             .ok_or_else(|| TrainError::State("`average_updates` is missing".into()))?;
         let updates = ((updates.values[0] as u64) << 20) + updates.values[1] as u64;
-        let weights = Named::new(below("weights"));
+        let weights = Named::new(below(state, "weights/"));
         let (network, head) = Self::load(&self.config, &weights, &self.device)?;
-        self.optimiser.restore(&below("moments"), &self.device)?;
+        self.optimiser.restore(&below(state, "moments/"), &self.device)?;
         (self.network, self.head) = (network, head);
-        self.average.restore(updates, &below("average"), &self.device);
+        self.average.restore(updates, &below(state, "average/"), &self.device);
         Ok(())
     }
 

@@ -359,6 +359,12 @@ impl ParameterGradients {
         self
     }
 
+    /// How many parameters have one.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.0.len()
+    }
+
     /// Whether every one is finite.
     #[must_use]
     pub fn finite(&self) -> bool {

@@ -9,7 +9,7 @@ mod kernel;
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::autodiff::grads::Gradients;
-use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
+use burn::backend::autodiff::ops::{Backward, NodeGuard, Ops, OpsKind};
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Backend, Dispatch, Flex, backend_extension};
 use burn::tensor::{Device, Tensor, TensorData, activation};
@@ -157,16 +157,8 @@ impl<C: CheckpointStrategy> Normalisation for Autodiff<Flex, C> {
         relu: bool,
     ) -> FloatTensor<Self> {
         let nodes = [map.node(), gain.node(), shift.node()];
-        let (map, gain, moments) =
-            (map.into_primitive(), gain.into_primitive(), moments.into_primitive());
-        let output = forward(&map, &gain, &shift.into_primitive(), &moments, None, relu);
-        match Plain.prepare::<C>(nodes).compute_bound().stateful() {
-            OpsKind::Tracked(preparation) => {
-                let state = State { map, gain, moments, output: output.clone(), relu };
-                preparation.finish(state, output)
-            }
-            OpsKind::UnTracked(preparation) => preparation.finish(output),
-        }
+        let inputs = [map, gain, shift, moments].map(FloatTensor::<Self>::into_primitive);
+        record::<C, 3>(nodes, inputs, None, relu)
     }
 
     fn normalise_add(
@@ -178,17 +170,26 @@ impl<C: CheckpointStrategy> Normalisation for Autodiff<Flex, C> {
         relu: bool,
     ) -> FloatTensor<Self> {
         let nodes = [map.node(), gain.node(), shift.node(), residual.node()];
-        let (map, gain, moments) =
-            (map.into_primitive(), gain.into_primitive(), moments.into_primitive());
-        let (shift, residual) = (shift.into_primitive(), residual.into_primitive());
-        let output = forward(&map, &gain, &shift, &moments, Some(&residual), relu);
-        match Added.prepare::<C>(nodes).compute_bound().stateful() {
-            OpsKind::Tracked(preparation) => {
-                let state = State { map, gain, moments, output: output.clone(), relu };
-                preparation.finish(state, output)
-            }
-            OpsKind::UnTracked(preparation) => preparation.finish(output),
+        let inputs = [map, gain, shift, moments].map(FloatTensor::<Self>::into_primitive);
+        record::<C, 4>(nodes, inputs, Some(&residual.into_primitive()), relu)
+    }
+}
+
+/// The value, with what its gradients need if one of the `nodes` (map, gain, shift, and the residual if there is
+/// one) learns; of map, gain, shift and moments.
+fn record<C: CheckpointStrategy, const N: usize>(
+    nodes: [NodeGuard; N],
+    [map, gain, shift, moments]: [Primitive; 4],
+    residual: Option<&Primitive>,
+    relu: bool,
+) -> FloatTensor<Autodiff<Flex, C>> {
+    let output = forward(&map, &gain, &shift, &moments, residual, relu);
+    match Derivative.prepare::<C>(nodes).compute_bound().stateful() {
+        OpsKind::Tracked(preparation) => {
+            let state = State { map, gain, moments, output: output.clone(), relu };
+            preparation.finish(state, output)
         }
+        OpsKind::UnTracked(preparation) => preparation.finish(output),
     }
 }
 
@@ -202,30 +203,14 @@ struct State {
     relu: bool,
 }
 
+/// With or without a residual: of as many inputs as are there.
 #[derive(Debug)]
-struct Plain;
+struct Derivative;
 
-#[derive(Debug)]
-struct Added;
-
-impl Backward<Flex, 3> for Plain {
+impl<const N: usize> Backward<Flex, N> for Derivative {
     type State = State;
 
-    fn backward(self, ops: Ops<State, 3>, gradients: &mut Gradients, _: &mut Checkpointer) {
-        let gradient = gradients.consume::<Flex>(&ops.node);
-        let [map, gain, shift, _] = ops.state.gradients(gradient);
-        for (node, gradient) in ops.parents.into_iter().zip([map, gain, shift]) {
-            if let Some(node) = node {
-                gradients.register::<Flex>(node.id, gradient);
-            }
-        }
-    }
-}
-
-impl Backward<Flex, 4> for Added {
-    type State = State;
-
-    fn backward(self, ops: Ops<State, 4>, gradients: &mut Gradients, _: &mut Checkpointer) {
+    fn backward(self, ops: Ops<State, N>, gradients: &mut Gradients, _: &mut Checkpointer) {
         let gradient = gradients.consume::<Flex>(&ops.node);
         for (node, gradient) in ops.parents.into_iter().zip(ops.state.gradients(gradient)) {
             if let Some(node) = node {

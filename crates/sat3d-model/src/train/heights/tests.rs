@@ -94,6 +94,49 @@ fn steps_do_not_depend_on_threads_and_go_on_from_a_state() {
 }
 
 #[test]
+fn a_training_begins_with_the_weights_of_another() {
+    let mut first = learner(settings());
+    first.step(0, &[example(1), example(2)]).expect("a step");
+    let state = first.state().expect("a state");
+    let mut second = HeightLearner::new(mini(), settings(), Device::Cpu, 6).expect("a learner");
+    assert_ne!(first.weights(), second.weights());
+    second.begin_with(&state).expect("weights of the same size");
+    assert_eq!(first.weights(), second.weights());
+    // Nothing else is taken over: the moments of the optimiser begin at nothing.
+    second.step(0, &[example(1), example(2)]).expect("a step");
+    first.step(0, &[example(1), example(2)]).expect("a step");
+    assert_ne!(first.weights(), second.weights());
+
+    let wider = MiniSettings { widths: [8, 8, 16], ..mini() };
+    let mut other = HeightLearner::new(wider, settings(), Device::Cpu, 5).expect("a learner");
+    let before = other.weights();
+    let error = other.begin_with(&state).expect_err("another size").to_string();
+    assert!(error.contains("unet.") && error.contains('8') && error.contains("16"), "{error}");
+    assert_eq!(other.weights(), before);
+    let error = other.begin_with(&state[..0]).expect_err("nothing in it").to_string();
+    assert!(error.contains("no weights"), "{error}");
+}
+
+#[test]
+fn parameters_of_its_own_learn_and_leave_the_originals_alone() {
+    let learner = learner(settings());
+    let copy = own(learner.network.clone());
+    assert_eq!(named_parameters("", &copy), named_parameters("", &learner.network));
+    let gradients = |network: &UNet, of: &UNet| {
+        let images = Tensor::ones([1, 3, SIDE, SIDE], &learner.device);
+        let mut statistics = Statistics::new();
+        let planes = network.planes(images, Mode::Train(&mut statistics));
+        let list = ParameterGradients::of("unet", of, &planes.sum().backward());
+        (list.finite(), list.count())
+    };
+    // Running statistics do not learn, in a copy either.
+    let (_, learning) = gradients(&learner.network, &learner.network);
+    assert!(learning > 0);
+    assert_eq!(gradients(&copy, &copy), (true, learning));
+    assert_eq!(gradients(&copy, &learner.network).1, 0);
+}
+
+#[test]
 fn unknown_heights_count_for_nothing() {
     let hidden = |value: f32| {
         let mut example = example(1);
