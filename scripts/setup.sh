@@ -48,11 +48,12 @@ fi
 has_libclang() {
     [ -n "${LIBCLANG_PATH:-}" ] && return 0
     local pattern
+    # Not libclang-cpp, which is another library and may be there alone.
     for pattern in '/usr/lib/llvm-*/lib/libclang*.so*' '/usr/lib/*/libclang*.so*' \
         '/usr/lib64/libclang*.so*' '/usr/lib/libclang*.so*' \
         /opt/homebrew/opt/llvm/lib/libclang.dylib /usr/local/opt/llvm/lib/libclang.dylib \
         /Library/Developer/CommandLineTools/usr/lib/libclang.dylib; do
-        compgen -G "$pattern" && return 0
+        compgen -G "$pattern" | grep -v libclang-cpp && return 0
     done
     return 1
 }

@@ -39,9 +39,17 @@ pub fn learner(
                     value: start.display().to_string(),
                     why,
                 };
-                let state =
-                    read_tensors(&start.join(STATE)).map_err(|error| wrong(error.to_string()))?;
-                learner.begin_with(&state).map_err(|error| wrong(error.to_string()))?;
+                let wrong = |error: &dyn std::fmt::Display| wrong(error.to_string());
+                let state = start.join(STATE);
+                if state.is_file() {
+                    let state = read_tensors(&state).map_err(|error| wrong(&error))?;
+                    learner.begin_with(&state).map_err(|error| wrong(&error))?;
+                } else {
+                    let model = Checkpoint::at(start).map_err(|error| wrong(&error))?;
+                    learner
+                        .begin_with_model(model.config(), &model)
+                        .map_err(|error| wrong(&error))?;
+                }
             }
             Ok(Box::new(learner))
         }

@@ -66,10 +66,7 @@ impl Weights {
     /// # Errors
     /// Those of [`Checkpoint::open`].
     pub fn open(&self) -> Result<Checkpoint, ModelError> {
-        match self.folder.to_str().and_then(BuiltIn::named) {
-            Some(model) => Checkpoint::built_in(model),
-            None => Checkpoint::open(&self.folder),
-        }
+        Checkpoint::at(&self.folder)
     }
 
     /// What a user should know about them.

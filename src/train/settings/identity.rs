@@ -2,10 +2,12 @@
 
 use super::{ModelKind, ObjectiveKind, Settings};
 use crate::batch::OutputFile;
-use crate::model::weights::{WEIGHTS_FILE, locate};
+use crate::model::weights::{BuiltIn, WEIGHTS_FILE, locate};
+use crate::plan::hex;
 use crate::train::checkpoint::STATE;
 use crate::train::error::TrainingError;
 use serde_json::{Map, Value, json};
+use sha2::{Digest, Sha256};
 use std::path::Path;
 
 impl Settings {
@@ -27,8 +29,11 @@ impl Settings {
         }
         let config = self.model.config.as_deref().map(hash).transpose()?;
         let start = match &self.model.start {
-            Some(folder) if self.model.kind == ModelKind::Mini => Some(hash(&folder.join(STATE))?),
-            Some(folder) => Some(hash(&locate(folder)?.join(WEIGHTS_FILE))?),
+            Some(place) => Some(match place.to_str().and_then(BuiltIn::named) {
+                Some(model) => hex(&Sha256::digest(model.weights)),
+                None if place.join(STATE).is_file() => hash(&place.join(STATE))?,
+                None => hash(&locate(place)?.join(WEIGHTS_FILE))?,
+            }),
             None => None,
         };
         // Another kind of device rounds otherwise.

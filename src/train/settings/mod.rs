@@ -33,6 +33,7 @@ use super::checkpoint::STATE;
 use super::error::TrainingError;
 use crate::model::Device;
 use crate::model::train::mini::MiniSettings;
+use crate::model::weights::{BuiltIn, locate};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -161,8 +162,10 @@ impl Settings {
         path.clone_into(&mut settings.path);
         let base = path.parent().unwrap_or(Path::new(""));
         for own in settings.paths() {
-            // `join` leaves an absolute path as it is.
-            *own = base.join(&*own);
+            if !is_built_in(own) {
+                // `join` leaves an absolute path as it is.
+                *own = base.join(&*own);
+            }
         }
         settings.check()?;
         Ok(settings)
@@ -230,6 +233,7 @@ impl Settings {
             [("model.config", &self.model.config), ("model.start", &self.model.start)]
         {
             if let Some(file) = file
+                && !is_built_in(file)
                 && !file.exists()
             {
                 return Err(self.wrong(key, file, "does not exist"));
@@ -237,7 +241,9 @@ impl Settings {
         }
         let model = &self.model;
         let paper = self.objective.kind == ObjectiveKind::Paper;
-        let trained = |start: &PathBuf| start.join(STATE).is_file();
+        let trained = |start: &PathBuf| {
+            is_built_in(start) || start.join(STATE).is_file() || locate(start).is_ok()
+        };
         // A setting that would change nothing is a mistake.
         let idle = match model.kind {
             ModelKind::Mini => [
@@ -249,7 +255,7 @@ impl Settings {
                 (
                     "model.start",
                     model.start.as_ref().is_some_and(|start| paper || !trained(start)),
-                    "the small network goes on from a checkpoint folder that `sat3d train` wrote for objective.kind = \"heights\", which is the objective it needs",
+                    "the small network goes on from a checkpoint folder that `sat3d train` wrote for objective.kind = \"heights\", which is the objective it needs, from an exported model, or from built-in:mini",
                 ),
             ],
             ModelKind::Reference => [
@@ -273,6 +279,11 @@ impl Settings {
         self.objective.check(self)?;
         self.data.check(self)
     }
+}
+
+/// Whether a place is a model inside the program.
+fn is_built_in(place: &Path) -> bool {
+    place.to_str().and_then(BuiltIn::named).is_some()
 }
 
 /// Sets the value of a dotted key. A value that is no TOML is a text: `run.device=cuda` needs no quotes.

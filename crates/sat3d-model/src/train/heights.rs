@@ -18,6 +18,7 @@ use crate::network::Device;
 use crate::network::loader::Loader;
 use crate::network::unet::{Mode, Statistics, UNet, absorb};
 use crate::preprocess::satellite;
+use crate::weights::TensorSource;
 use burn::module::{Module, ModuleMapper, Param};
 use burn::tensor::{Bool, Int, Tensor, TensorData};
 use serde::{Deserialize, Serialize};
@@ -107,8 +108,7 @@ impl HeightLearner {
         }
         let config = mini.config(Class::COUNT)?;
         let device = device.open()?.autodiff();
-        let fresh = Named::new(mini::fresh(&config, seed));
-        let (network, head) = Self::load(&config, &fresh, &device)?;
+        let (network, head) = Self::load(&config, mini::fresh(&config, seed), &device)?;
         let optimiser = AdamW::new(settings.optimiser);
         Ok(Self {
             settings,
@@ -131,21 +131,52 @@ impl HeightLearner {
         if weights.is_empty() {
             return Err(TrainError::State("no weights of a small network".into()));
         }
-        (self.network, self.head) = Self::load(&self.config, &Named::new(weights), &self.device)?;
+        (self.network, self.head) = Self::load(&self.config, weights, &self.device)?;
         Ok(())
     }
 
+    /// Begins with a finished model. Its norms are folded into its convolutions and stay there; the channels that
+    /// only training looks at begin anew.
+    ///
+    /// # Errors
+    /// [`TrainError::State`] for another network, [`TrainError::Model`] where the source has not the tensors of
+    /// this one.
+    pub fn begin_with_model(
+        &mut self,
+        config: &Config,
+        source: &dyn TensorSource,
+    ) -> Result<(), TrainError> {
+        let wanted = self.mini.config(0)?;
+        if *config != wanted {
+            let sizes = |config: &Config| match &config.unet {
+                Some(unet) => format!(
+                    "{unet:?}, {} channels, a head of {}",
+                    config.plane_channels, config.head_hidden
+                ),
+                None => "not a small network".to_owned(),
+            };
+            let (found, wanted) = (sizes(config), sizes(&wanted));
+            return Err(TrainError::State(format!("{found}, where the settings say {wanted}")));
+        }
+        let weights = mini::unfinished(&wanted, &self.config, source, &self.weights())?;
+        (self.network, self.head) = Self::load(&self.config, weights, &self.device)?;
+        Ok(())
+    }
+
+    /// A network with norms where the weights have them.
     fn load(
         config: &Config,
-        source: &Named,
+        weights: Vec<NamedTensor>,
         device: &burn::tensor::Device,
     ) -> Result<(UNet, MiniHead), TrainError> {
+        let normed = weights.iter().any(|tensor| tensor.name.contains(".norm."));
+        let source = &Named::new(weights);
         let loader = Loader::new(source, device);
         let Some(unet) = &config.unet else {
             return Err(TrainError::State("not a small network".into()));
         };
         let (channels, pad) = (config.plane_channels, config.pad_tokens());
-        let network = UNet::load(&loader.child("unet"), unet, channels, pad, true)?;
+        let network = UNet::load(&loader.child("unet"), unet, channels, pad, normed)?;
         Ok((network, MiniHead::load(&loader.child("mlp"), config)?))
     }
 
@@ -363,8 +394,8 @@ impl Learner for HeightLearner {
             .find(|tensor| tensor.name == "average_updates" && tensor.values.len() == 2)
             .ok_or_else(|| TrainError::State("`average_updates` is missing".into()))?;
         let updates = ((updates.values[0] as u64) << 20) + updates.values[1] as u64;
-        let weights = Named::new(below(state, "weights/"));
-        let (network, head) = Self::load(&self.config, &weights, &self.device)?;
+        let weights = below(state, "weights/");
+        let (network, head) = Self::load(&self.config, weights, &self.device)?;
         self.optimiser.restore(&below(state, "moments/"), &self.device)?;
         (self.network, self.head) = (network, head);
         self.average.restore(updates, &below(state, "average/"), &self.device);

@@ -9,7 +9,7 @@ use crate::network::loader::Loader;
 use crate::network::normalisation::EPSILON;
 use crate::network::unet::TEXELS;
 use crate::random::{key, normal};
-use crate::weights::expected;
+use crate::weights::{TensorSource, expected};
 use burn::module::Module;
 use burn::tensor::{Tensor, activation};
 use serde::{Deserialize, Serialize};
@@ -262,7 +262,8 @@ pub(crate) fn finished(
     for spec in expected(config) {
         let mut tensor = get(&spec.key)?.clone();
         let path = spec.key.rsplit_once('.').map_or("", |(path, _)| path);
-        if normed(&format!("{path}.weight")).is_some() {
+        // A training that began with a finished model has no norms.
+        if by_name.contains_key(&format!("{path}.norm.weight")) {
             let of = |what: &str| get(&format!("{path}.norm.{what}"));
             let (gain, mean, variance) = (of("weight")?, of("running_mean")?, of("running_var")?);
             let scale = |channel: usize| {
@@ -291,6 +292,37 @@ pub(crate) fn finished(
             tensor.shape[0] = TEXELS * TEXELS * config.plane_channels;
         }
         list.push(tensor);
+    }
+    Ok(list)
+}
+
+/// What [`finished`] left, as weights to go on from: without norms, and with the auxiliary channels of `fresh`.
+pub(crate) fn unfinished(
+    finished: &Config,
+    training: &Config,
+    source: &dyn TensorSource,
+    fresh: &[NamedTensor],
+) -> Result<Vec<NamedTensor>, TrainError> {
+    let mut list = Vec::new();
+    for spec in expected(finished) {
+        let mut values = source.read(&spec.key, &spec.shape)?;
+        let mut shape = spec.shape;
+        if spec.key.starts_with("unet.plane.")
+            && let Some(wide) = fresh.iter().find(|tensor| tensor.name == spec.key)
+        {
+            let auxiliary = training.unet.as_ref().map_or(0, |unet| unet.auxiliary);
+            let texels = TEXELS * TEXELS;
+            let kept = values.len() / texels;
+            let all = kept / finished.plane_channels * (finished.plane_channels + auxiliary);
+            let texel = |(kept, fresh): (&[f32], &[f32])| [kept, &fresh[kept.len()..]].concat();
+            values = values
+                .chunks_exact(kept)
+                .zip(wide.values.chunks_exact(all))
+                .flat_map(texel)
+                .collect();
+            shape.clone_from(&wide.shape);
+        }
+        list.push(NamedTensor { name: spec.key, shape, values });
     }
     Ok(list)
 }

@@ -92,6 +92,17 @@ impl Checkpoint {
         Self::of(folder, config_text, config, file)
     }
 
+    /// Opens the model of a place: a checkpoint folder, or `built-in:<name>`.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::open`].
+    pub fn at(place: &Path) -> Result<Self, ModelError> {
+        match place.to_str().and_then(BuiltIn::named) {
+            Some(model) => Self::built_in(model),
+            None => Self::open(place),
+        }
+    }
+
     /// Opens a model that is part of the program.
     ///
     /// # Errors

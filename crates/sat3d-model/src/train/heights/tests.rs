@@ -118,6 +118,52 @@ fn a_training_begins_with_the_weights_of_another() {
 }
 
 #[test]
+fn a_training_goes_on_from_a_finished_model() {
+    let mut first = learner(settings());
+    let images: Vec<Example> = (1..=2).map(example).collect();
+    for step in 0..3 {
+        first.step(step, &images).expect("a step");
+    }
+    let exported = first.export().expect("a model");
+    let config = Config::from_json(&exported.config).expect("a config");
+    let source = Named::new(exported.model.clone());
+
+    let mut second = HeightLearner::new(mini(), settings(), Device::Cpu, 6).expect("a learner");
+    second.begin_with_model(&config, &source).expect("a model of the same size");
+    // It is the same model: exported again it has the same tensors, and it sees the same heights.
+    assert_eq!(second.export().expect("a model").model, exported.model);
+    let heights = |learner: &HeightLearner| {
+        let images = Tensor::ones([1, 3, SIDE, SIDE], &learner.device) * 0.3;
+        let planes = learner.network.planes(images, Mode::Evaluate);
+        values(&planes.narrow(1, 0, 1).without_autodiff())
+    };
+    let (before, after) = (heights(&first), heights(&second));
+    let apart = before.iter().zip(&after).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    let size = before.iter().map(|value| value.abs()).fold(0.0, f32::max);
+    assert!(apart < 1e-4 * size, "{apart} of {size}");
+
+    // It learns without norms, and is stored and gone on with as any other.
+    let stepped = terms(second.step(0, &images).expect("a step"));
+    assert!(stepped.iter().all(|term| term.value.is_finite()), "{stepped:?}");
+    let state = second.state().expect("a state");
+    assert!(state.iter().all(|tensor| !tensor.name.contains("norm.")));
+    let mut third = HeightLearner::new(mini(), settings(), Device::Cpu, 7).expect("a learner");
+    third.restore(&state).expect("a state without norms");
+    assert_eq!(third.state().expect("a state"), state);
+    second.step(1, &images).expect("a step");
+    third.step(1, &images).expect("a step");
+    assert_eq!(third.state().expect("a state"), second.state().expect("a state"));
+    assert_ne!(second.export().expect("a model").model, exported.model);
+
+    let wider = MiniSettings { widths: [8, 8, 16], ..mini() };
+    let mut other = HeightLearner::new(wider, settings(), Device::Cpu, 5).expect("a learner");
+    let error = other.begin_with_model(&config, &source).expect_err("another size").to_string();
+    assert!(error.contains("[8, 8, 8]") && error.contains("[8, 8, 16]"), "{error}");
+    let error = other.begin_with_model(&Config::released(), &source).expect_err("another");
+    assert!(error.to_string().contains("not a small network"), "{error}");
+}
+
+#[test]
 fn parameters_of_its_own_learn_and_leave_the_originals_alone() {
     let learner = learner(settings());
     let copy = own(learner.network.clone());
