@@ -1,18 +1,18 @@
 //! Times each stage from image to outputs, one line of JSON per stage, for `benches/peers/infer.sh`:
 //!
 //! ```text
-//! RAYON_NUM_THREADS=2 cargo run --release -p sat3d-model --example peer -- CHECKPOINT IMAGE.png [ROUNDS]
+//! RAYON_NUM_THREADS=2 cargo run --release -p sat3d-model --example peer -- CHECKPOINT IMAGE.png [ROUNDS [ENGINE PRECISION]]
 //! ```
 //!
 //! The median of the rounds; every stage is warm but for the first round of the network, which reads weights.
 
-use sat3d_model::network::BurnNetwork;
+use sat3d_model::network::{Engine, Execution, Precision};
 use sat3d_model::render::{
     Angles, Border, Camera, Pose, ReferenceGrid, RenderOptions, SkyMap, Wanted, dsm,
     reference_grid, render,
 };
 use sat3d_model::weights::point_head;
-use sat3d_model::{Checkpoint, Device, Image8, Network, field, preprocess};
+use sat3d_model::{Checkpoint, Device, Image8, field, preprocess};
 use std::error::Error;
 use std::path::Path;
 use std::time::Instant;
@@ -54,13 +54,18 @@ fn read(path: &Path) -> Result<Image8, Box<dyn Error>> {
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [folder, image, rest @ ..] = arguments.as_slice() else {
-        return Err("usage: peer CHECKPOINT IMAGE.png [ROUNDS]".into());
+        return Err("usage: peer CHECKPOINT IMAGE.png [ROUNDS [ENGINE PRECISION]]".into());
     };
     let rounds = rest.first().map_or(Ok(3), |text| text.parse())?;
     let checkpoint = Checkpoint::open(Path::new(folder))?;
     let config = checkpoint.config().clone();
     let head = point_head(&config, &checkpoint)?;
-    let network = BurnNetwork::new(config.clone(), Box::new(checkpoint), Device::Cpu)?;
+    let (engine, precision): (Engine, Precision) = match &rest[rest.len().min(1)..] {
+        [engine, precision] => (engine.parse()?, precision.parse()?),
+        _ => Default::default(),
+    };
+    let execution = Execution { device: Device::Cpu, engine, precision };
+    let network = execution.network(config.clone(), Box::new(checkpoint))?;
     let image = preprocess::satellite(&read(Path::new(image))?, config.image_side())?;
     let histogram = vec![1.0 / 90.0; 270];
     let tokens = timed("encoder", rounds, || Ok(network.tokens(&image, None)?))?;

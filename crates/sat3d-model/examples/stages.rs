@@ -1,15 +1,15 @@
 //! Seconds per stage of the network, and the most memory it took:
 //!
 //! ```text
-//! RAYON_NUM_THREADS=2 cargo run --release -p sat3d-model --example stages [CHECKPOINT] [DEVICE]
+//! RAYON_NUM_THREADS=2 cargo run --release -p sat3d-model --example stages [CHECKPOINT [DEVICE [ENGINE PRECISION]]]
 //! ```
 //!
 //! Without a checkpoint folder the released network runs with weights made by rule.
 
 use sat3d_model::config::Config;
-use sat3d_model::network::BurnNetwork;
+use sat3d_model::network::Execution;
 use sat3d_model::weights::rule::{RuleWeights, full_overrides};
-use sat3d_model::{Checkpoint, Device, Grid, ModelError, Network};
+use sat3d_model::{Checkpoint, Device, Grid, ModelError};
 use std::path::Path;
 use std::time::Instant;
 
@@ -17,15 +17,19 @@ fn main() -> Result<(), ModelError> {
     let mut arguments = std::env::args().skip(1);
     let folder = arguments.next().filter(|name| name != "rule");
     let device: Device = arguments.next().as_deref().unwrap_or("cpu").parse()?;
+    let mut execution = Execution::from(device);
+    if let (Some(engine), Some(precision)) = (arguments.next(), arguments.next()) {
+        execution = Execution { engine: engine.parse()?, precision: precision.parse()?, device };
+    }
     let network = match folder {
         Some(folder) => {
             let checkpoint = Checkpoint::open(Path::new(&folder))?;
-            BurnNetwork::new(checkpoint.config().clone(), Box::new(checkpoint), device)?
+            execution.network(checkpoint.config().clone(), Box::new(checkpoint))?
         }
         None => {
             let config = Config::released();
             let weights = RuleWeights::new(&config, full_overrides());
-            BurnNetwork::new(config, Box::new(weights), device)?
+            execution.network(config, Box::new(weights))?
         }
     };
     let config = network.config().clone();

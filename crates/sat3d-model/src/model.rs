@@ -3,7 +3,7 @@
 use crate::config::Config;
 use crate::error::ModelError;
 use crate::field::{FieldInputs, PointHead};
-use crate::network::{BurnNetwork, Device, Network, SmallNetwork};
+use crate::network::{Execution, Network, SmallNetwork};
 use crate::preprocess::{self, Image8};
 use crate::scene::{Scene, SceneParts, SkyParts};
 use crate::weights::{Checkpoint, TensorSource, point_head};
@@ -22,7 +22,7 @@ use std::path::Path;
 /// let config = include_str!("../fixtures/tiny/model/config.json");
 /// write_checkpoint(&folder, config, tiny_overrides())?;
 ///
-/// let model = Model::load(&folder, &Device::Cpu)?;
+/// let model = Model::load(&folder, &Device::Cpu.into())?;
 /// // A satellite image, RGB, north up, of any size; here a grey one.
 /// let image = Image8::new(64, 64, 3, vec![128; 64 * 64 * 3])?;
 /// // 64.48 m of ground under the crop: 32.24 m of height per cube unit by the published scoring.
@@ -53,16 +53,19 @@ impl Model {
     /// # Errors
     /// Those of [`Checkpoint::open`]; [`ModelError::Device`] for a device that this program was
     /// built without.
-    pub fn load(folder: &Path, device: &Device) -> Result<Self, ModelError> {
-        Self::of_checkpoint(&Checkpoint::open(folder)?, device)
+    pub fn load(folder: &Path, execution: &Execution) -> Result<Self, ModelError> {
+        Self::of_checkpoint(&Checkpoint::open(folder)?, execution)
     }
 
     /// The model of an opened checkpoint, whose mapping it shares.
     ///
     /// # Errors
     /// As [`Model::from_source`].
-    pub fn of_checkpoint(checkpoint: &Checkpoint, device: &Device) -> Result<Self, ModelError> {
-        Self::from_source(checkpoint.config().clone(), Box::new(checkpoint.clone()), device)
+    pub fn of_checkpoint(
+        checkpoint: &Checkpoint,
+        execution: &Execution,
+    ) -> Result<Self, ModelError> {
+        Self::from_source(checkpoint.config().clone(), Box::new(checkpoint.clone()), execution)
     }
 
     /// A model whose tensors come from anywhere, as from [`crate::weights::rule`].
@@ -72,14 +75,15 @@ impl Model {
     pub fn from_source(
         config: Config,
         source: Box<dyn TensorSource>,
-        device: &Device,
+        execution: &Execution,
     ) -> Result<Self, ModelError> {
         let head = point_head(&config, source.as_ref())?;
         let network: Box<dyn Network> = match &config.unet {
             Some(unet) => {
-                Box::new(SmallNetwork::new(config.clone(), unet.clone(), source, *device)?)
+                // Too small to gain from another engine.
+                Box::new(SmallNetwork::new(config.clone(), unet.clone(), source, execution.device)?)
             }
-            None => Box::new(BurnNetwork::new(config.clone(), source, *device)?),
+            None => execution.network(config.clone(), source)?,
         };
         Ok(Self { config, head, network })
     }

@@ -25,7 +25,7 @@ fn image() -> Image8 {
 fn scene(config: &str, overrides: Vec<Override>) -> Scene {
     let config = Config::from_json(config).unwrap();
     let weights = Box::new(RuleWeights::new(&config, overrides));
-    let model = Model::from_source(config, weights, &Device::Cpu).unwrap();
+    let model = Model::from_source(config, weights, &Device::Cpu.into()).unwrap();
     let inputs = model.field_inputs(&image()).unwrap();
     let parts = SceneParts { inputs, head: model.head, sky: None, metres_per_unit: 32.24 };
     Scene::new(parts).unwrap()

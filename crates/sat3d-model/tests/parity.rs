@@ -13,7 +13,7 @@
 mod support;
 
 use sat3d_model::field::{DensityActivation, Representation};
-use sat3d_model::network::BurnNetwork;
+use sat3d_model::network::{BurnNetwork, Engine, Execution, Precision};
 use sat3d_model::parity::{Comparison, ParityError, Set, verify};
 use sat3d_model::weights::rule::{RuleWeights, tiny_overrides, write_checkpoint};
 use sat3d_model::weights::{Checkpoint, TensorSource, expected};
@@ -81,7 +81,7 @@ fn counts(set: Set) -> &'static [(&'static str, usize)] {
 #[track_caller]
 fn check(set: Set, folder: Option<&Path>) {
     let mut seen = 0;
-    let all = verify(set, &Device::Cpu, folder, &mut |comparison| {
+    let all = verify(set, &Device::Cpu.into(), folder, &mut |comparison| {
         println!("{comparison}");
         seen += 1;
     })
@@ -126,8 +126,32 @@ fn full_network() {
 }
 
 #[test]
+fn every_engine_and_precision() {
+    for engine in Engine::ALL {
+        for precision in Precision::ALL {
+            let execution = Execution { device: Device::Cpu, engine, precision };
+            if let Some(why) = execution.refusal() {
+                println!("SKIPPED: {execution}: {why}");
+                continue;
+            }
+            for set in [Set::Tiny, Set::TinyTriplane] {
+                let all = verify(set, &execution, None, &mut |comparison| {
+                    println!("{execution}: {comparison}");
+                })
+                .unwrap();
+                let failed: Vec<&Comparison> =
+                    all.iter().filter(|comparison| !comparison.passes()).collect();
+                assert!(failed.is_empty(), "{execution}: {failed:#?}");
+                let of = |stage| all.iter().filter(|made| made.stage == stage).count();
+                assert!(of("planes") > 0 && (of("tokens") > 0 || set == Set::TinyTriplane));
+            }
+        }
+    }
+}
+
+#[test]
 fn what_is_not_there_is_said() {
-    let of = |set, folder: Option<&Path>| verify(set, &Device::Cpu, folder, &mut |_| ());
+    let of = |set, folder: Option<&Path>| verify(set, &Device::Cpu.into(), folder, &mut |_| ());
     let error = of(Set::Full, None).unwrap_err();
     assert!(matches!(error, ParityError::NotBuiltIn(Set::Full)), "{error}");
     let folder = tempfile::tempdir().unwrap();
@@ -180,7 +204,7 @@ fn the_references_files_hold_the_rules_weights() {
             compared += 1;
         }
         assert_eq!(compared, checkpoint.file().keys().count());
-        let model = Model::load(&path, &Device::Cpu).unwrap();
+        let model = Model::load(&path, &Device::Cpu.into()).unwrap();
         assert_eq!(model.head.net0.inputs, config.point_features());
         assert_eq!(model.head.density.bias, [-4.5]);
     }
@@ -198,7 +222,7 @@ fn a_loaded_model_gives_the_field_its_inputs() {
     let text = std::fs::read_to_string(fixture("tiny/model/config.json")).unwrap();
     let folder = tempfile::tempdir().unwrap();
     write_checkpoint(folder.path(), &text, tiny_overrides()).unwrap();
-    let model = Model::load(folder.path(), &Device::Cpu).unwrap();
+    let model = Model::load(folder.path(), &Device::Cpu.into()).unwrap();
     let inputs = model.field_inputs(&png(&fixture(SATELLITE))).unwrap();
     assert_eq!(inputs.representation, Representation::Oneplane);
     assert_eq!(inputs.activation, DensityActivation::Mipnerf);

@@ -159,6 +159,12 @@ impl Layout {
         Self { library, desc, span: None }
     }
 
+    /// The library that made it.
+    #[must_use]
+    pub fn library(&self) -> &'static Library {
+        self.library
+    }
+
     /// Bytes that a memory of this layout takes, gaps included.
     #[must_use]
     pub fn bytes(&self) -> usize {

@@ -6,7 +6,7 @@ use super::loader::Loader;
 use super::probe::{Probe, Stage};
 use super::sky::SkyMapping;
 use super::super_resolution::SuperResolution;
-use super::{Device, Network};
+use super::{Device, Network, StagedNetwork};
 use crate::config::{Border, Config, HISTOGRAM, PATCHES, SKY_SEED};
 use crate::error::ModelError;
 use crate::tensor::Grid;
@@ -57,74 +57,6 @@ impl BurnNetwork {
             sky_decoder: Lazy::default(),
             super_resolution: Lazy::default(),
         })
-    }
-
-    /// What the network is made of.
-    #[must_use]
-    pub fn config(&self) -> &Config {
-        &self.config
-    }
-
-    /// Normalised image (`3 x 256 x 256`) to the encoder's patch tokens (`1024 x 16 x 16`).
-    ///
-    /// # Errors
-    /// As [`Network::map`].
-    pub fn tokens(&self, image: &Grid, observer: Observer<'_>) -> Result<Grid, ModelError> {
-        let side = self.config.image_side();
-        check("image", image, [3, side, side])?;
-        let tokens = self.encoder()?.forward(self.upload(image), &mut probe(observer));
-        download("encoder", tokens)
-    }
-
-    /// Patch tokens (`1024 x 16 x 16`) to the decoder's map; the padding is added here.
-    ///
-    /// # Errors
-    /// As [`Network::map`].
-    pub fn decode(&self, tokens: &Grid, observer: Observer<'_>) -> Result<Grid, ModelError> {
-        check("tokens", tokens, [self.config.backbone.hidden, PATCHES, PATCHES])?;
-        let mut tokens = self.upload(tokens);
-        let pad = self.config.pad_tokens();
-        if pad > 0 {
-            tokens = tokens.pad([(pad, pad); 2], PadMode::Constant(0.0));
-        }
-        download("decoder", self.decoder()?.forward(tokens, &mut probe(observer)))
-    }
-
-    /// As [`Network::sky`], with a look at the stages.
-    ///
-    /// # Errors
-    /// As [`Network::sky`].
-    pub fn sky_observed(&self, style: &[f32], observer: Observer<'_>) -> Result<Grid, ModelError> {
-        let channels = self.config.style;
-        check_length("style code", style, channels)?;
-        let seed: Vec<f32> = style.iter().flat_map(|&value| [value; SKY_SEED * SKY_SEED]).collect();
-        let seed = self.upload(&Grid::new(channels, SKY_SEED, SKY_SEED, seed));
-        let map = self.sky_decoder()?.forward(seed, &mut probe(observer));
-        let below = self.config.sky_width() - self.config.sky_side();
-        let map = activation::sigmoid(map).pad([(0, 0), (0, below)], PadMode::Constant(0.0));
-        download("sky decoder", map)
-    }
-
-    /// As [`Network::super_resolve`], with a look at the stages.
-    ///
-    /// # Errors
-    /// As [`Network::super_resolve`].
-    pub fn super_resolve_observed(
-        &self,
-        features: &Grid,
-        observer: Observer<'_>,
-    ) -> Result<Grid, ModelError> {
-        if self.config.super_resolution != 2 {
-            let why = "`opt.network.sr_factor` is 1".into();
-            return Err(ModelError::Absent { part: "super-resolution", why });
-        }
-        // Mirroring the border takes a second row and column.
-        let least = |side: usize| side.max(2);
-        let shape = [self.config.color_channels, least(features.height), least(features.width)];
-        check("rendered features", features, shape)?;
-        let module = self.super_resolution()?;
-        let image = module.forward(self.upload(features), &mut probe(observer));
-        download("super-resolution", image)
     }
 
     fn encoder(&self) -> Result<&Encoder, ModelError> {
@@ -178,6 +110,58 @@ impl BurnNetwork {
     }
 }
 
+impl StagedNetwork for BurnNetwork {
+    fn config(&self) -> &Config {
+        &self.config
+    }
+
+    fn tokens(&self, image: &Grid, observer: Observer<'_>) -> Result<Grid, ModelError> {
+        let side = self.config.image_side();
+        check("image", image, [3, side, side])?;
+        let tokens = self.encoder()?.forward(self.upload(image), &mut probe(observer));
+        download("encoder", tokens)
+    }
+
+    fn decode(&self, tokens: &Grid, observer: Observer<'_>) -> Result<Grid, ModelError> {
+        check("tokens", tokens, [self.config.backbone.hidden, PATCHES, PATCHES])?;
+        let mut tokens = self.upload(tokens);
+        let pad = self.config.pad_tokens();
+        if pad > 0 {
+            tokens = tokens.pad([(pad, pad); 2], PadMode::Constant(0.0));
+        }
+        download("decoder", self.decoder()?.forward(tokens, &mut probe(observer)))
+    }
+
+    fn sky_observed(&self, style: &[f32], observer: Observer<'_>) -> Result<Grid, ModelError> {
+        let channels = self.config.style;
+        check_length("style code", style, channels)?;
+        let seed: Vec<f32> = style.iter().flat_map(|&value| [value; SKY_SEED * SKY_SEED]).collect();
+        let seed = self.upload(&Grid::new(channels, SKY_SEED, SKY_SEED, seed));
+        let map = self.sky_decoder()?.forward(seed, &mut probe(observer));
+        let below = self.config.sky_width() - self.config.sky_side();
+        let map = activation::sigmoid(map).pad([(0, 0), (0, below)], PadMode::Constant(0.0));
+        download("sky decoder", map)
+    }
+
+    fn super_resolve_observed(
+        &self,
+        features: &Grid,
+        observer: Observer<'_>,
+    ) -> Result<Grid, ModelError> {
+        if self.config.super_resolution != 2 {
+            let why = "`opt.network.sr_factor` is 1".into();
+            return Err(ModelError::Absent { part: "super-resolution", why });
+        }
+        // Mirroring the border takes a second row and column.
+        let least = |side: usize| side.max(2);
+        let shape = [self.config.color_channels, least(features.height), least(features.width)];
+        check("rendered features", features, shape)?;
+        let module = self.super_resolution()?;
+        let image = module.forward(self.upload(features), &mut probe(observer));
+        download("super-resolution", image)
+    }
+}
+
 impl Network for BurnNetwork {
     fn map(&self, image: &Grid) -> Result<Grid, ModelError> {
         self.decode(&self.tokens(image, None)?, None)
@@ -199,7 +183,7 @@ impl Network for BurnNetwork {
     }
 }
 
-fn probe(observer: Observer<'_>) -> Probe<'_> {
+pub(super) fn probe(observer: Observer<'_>) -> Probe<'_> {
     match observer {
         Some(sink) => Probe::new(sink),
         None => Probe::none(),

@@ -291,6 +291,23 @@ impl RotaryTable {
         (&self.cos[skipped..], &self.sin[skipped..])
     }
 
+    /// Turns rows of all heads' channels and multiplies them.
+    #[cfg(feature = "onednn")]
+    pub(crate) fn turn(&self, rows: &mut [f32], hidden: usize, factor: f32) {
+        let half = self.head / 2;
+        let angles = self.cos.chunks_exact(self.head).zip(self.sin.chunks_exact(self.head));
+        for (row, (cos, sin)) in rows.chunks_exact_mut(hidden).zip(angles) {
+            for head in row.chunks_exact_mut(self.head) {
+                let (first, second) = head.split_at_mut(half);
+                for index in 0..half {
+                    let (a, b) = (first[index], second[index]);
+                    first[index] = (a * cos[index] - b * sin[index]) * factor;
+                    second[index] = (b * cos[half + index] + a * sin[half + index]) * factor;
+                }
+            }
+        }
+    }
+
     fn on(&self, device: &Device) -> (Tensor<3>, Tensor<3>) {
         let shape = [1, self.tokens, self.head];
         let tensor =

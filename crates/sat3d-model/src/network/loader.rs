@@ -6,28 +6,89 @@ use burn::module::Param;
 use burn::tensor::{Device, Tensor, TensorData};
 use std::fmt::Display;
 
-/// A place in the tree of modules, from which parameters are read.
-pub(crate) struct Loader<'a> {
+/// A place in the tree of modules, from which values are read.
+pub(crate) struct Place<'a> {
     source: &'a dyn TensorSource,
-    device: &'a Device,
     path: String,
+}
+
+impl<'a> Place<'a> {
+    /// The root of a checkpoint.
+    pub(crate) fn new(source: &'a dyn TensorSource) -> Self {
+        Self { source, path: String::new() }
+    }
+
+    /// The module `name` below this one.
+    pub(crate) fn child(&self, name: impl Display) -> Self {
+        Self { source: self.source, path: self.key(name) }
+    }
+
+    /// Values of one parameter of this module.
+    pub(crate) fn read<const D: usize>(
+        &self,
+        name: &str,
+        shape: [usize; D],
+    ) -> Result<Vec<f32>, ModelError> {
+        self.source.read(&self.key(name), &shape)
+    }
+
+    /// The key of a parameter of this module.
+    pub(crate) fn key(&self, name: impl Display) -> String {
+        if self.path.is_empty() { name.to_string() } else { format!("{}.{name}", self.path) }
+    }
+}
+
+#[cfg(feature = "onednn")]
+impl<'a> Place<'a> {
+    /// A place without values.
+    pub(crate) fn nowhere() -> Place<'static> {
+        struct Nothing;
+        impl TensorSource for Nothing {
+            fn read(&self, key: &str, _shape: &[usize]) -> Result<Vec<f32>, ModelError> {
+                let mismatch =
+                    crate::error::Mismatch { missing: vec![key.into()], ..Default::default() };
+                let path = "(nowhere)".into();
+                Err(ModelError::Tensors { path, mismatch: Box::new(mismatch) })
+            }
+        }
+        Place::new(&Nothing)
+    }
+
+    /// Values where they lie in memory; see [`TensorSource::mapped`].
+    pub(crate) fn mapped<const D: usize>(
+        &self,
+        name: &str,
+        shape: [usize; D],
+    ) -> Option<&'a [f32]> {
+        self.source.mapped(&self.key(name), &shape)
+    }
+
+    /// See [`TensorSource::release`].
+    pub(crate) fn release(&self, name: &str) {
+        self.source.release(&self.key(name));
+    }
+}
+
+/// The same, for parameters of `burn`.
+pub(crate) struct Loader<'a> {
+    place: Place<'a>,
+    device: &'a Device,
 }
 
 impl<'a> Loader<'a> {
     /// The root of a checkpoint.
     pub(crate) fn new(source: &'a dyn TensorSource, device: &'a Device) -> Self {
-        Self { source, device, path: String::new() }
+        Self { place: Place::new(source), device }
     }
 
     /// The module `name` below this one.
     pub(crate) fn child(&self, name: impl Display) -> Self {
-        let path = self.key(name);
-        Self { source: self.source, device: self.device, path }
+        Self { place: self.place.child(name), device: self.device }
     }
 
     /// Where this is, as keys begin.
     pub(crate) fn path(&self) -> &str {
-        &self.path
+        &self.place.path
     }
 
     /// One parameter of this module. The values go to the device before the next are read.
@@ -36,11 +97,7 @@ impl<'a> Loader<'a> {
         name: &str,
         shape: [usize; D],
     ) -> Result<Param<Tensor<D>>, ModelError> {
-        let values = self.source.read(&self.key(name), &shape)?;
+        let values = self.place.read(name, shape)?;
         Ok(Param::from_data(TensorData::new(values, shape), self.device))
-    }
-
-    fn key(&self, name: impl Display) -> String {
-        if self.path.is_empty() { name.to_string() } else { format!("{}.{name}", self.path) }
     }
 }

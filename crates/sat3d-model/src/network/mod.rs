@@ -4,6 +4,7 @@
 //! it with `burn` modules, on the CPU or a graphics card. Modules are read from the checkpoint when
 //! an output first needs them.
 
+use crate::config::Config;
 use crate::error::ModelError;
 use crate::tensor::Grid;
 
@@ -12,9 +13,13 @@ pub(crate) mod convolution;
 pub(crate) mod decoder;
 pub(crate) mod device;
 pub(crate) mod encoder;
+mod execution;
 pub(crate) mod layers;
 pub(crate) mod loader;
 pub(crate) mod normalisation;
+#[cfg(feature = "onednn")]
+mod onednn;
+mod precision;
 pub(crate) mod probe;
 pub(crate) mod sky;
 mod small;
@@ -23,6 +28,10 @@ pub(crate) mod unet;
 
 pub use burned::{BurnNetwork, Observer};
 pub use device::Device;
+pub use execution::{Engine, Execution, Wanted};
+#[cfg(feature = "onednn")]
+pub use onednn::OneDnnNetwork;
+pub use precision::{Precision, PrecisionBound};
 pub use probe::Stage;
 pub use small::SmallNetwork;
 pub(crate) use unet::{STEM as UNET_STEM, TEXELS as UNET_TEXELS};
@@ -57,6 +66,40 @@ pub trait Network: Send + Sync {
     /// # Errors
     /// As [`Network::map`]; [`ModelError::Absent`] for a model without super-resolution.
     fn super_resolve(&self, features: &Grid) -> Result<Grid, ModelError>;
+}
+
+/// The large network's stages one by one, with a look at what passes between the layers.
+pub trait StagedNetwork: Network {
+    /// What the network is made of.
+    fn config(&self) -> &Config;
+
+    /// Normalised image (`3 x 256 x 256`) to the encoder's patch tokens (`1024 x 16 x 16`).
+    ///
+    /// # Errors
+    /// As [`Network::map`].
+    fn tokens(&self, image: &Grid, observer: Observer<'_>) -> Result<Grid, ModelError>;
+
+    /// Patch tokens (`1024 x 16 x 16`) to the decoder's map; the padding is added here.
+    ///
+    /// # Errors
+    /// As [`Network::map`].
+    fn decode(&self, tokens: &Grid, observer: Observer<'_>) -> Result<Grid, ModelError>;
+
+    /// As [`Network::sky`], with a look at the stages.
+    ///
+    /// # Errors
+    /// As [`Network::sky`].
+    fn sky_observed(&self, style: &[f32], observer: Observer<'_>) -> Result<Grid, ModelError>;
+
+    /// As [`Network::super_resolve`], with a look at the stages.
+    ///
+    /// # Errors
+    /// As [`Network::super_resolve`].
+    fn super_resolve_observed(
+        &self,
+        features: &Grid,
+        observer: Observer<'_>,
+    ) -> Result<Grid, ModelError>;
 }
 
 #[cfg(test)]

@@ -43,6 +43,14 @@ impl<'a> Probe<'a> {
         result
     }
 
+    /// Shows one stage that `make` gives as shape and values.
+    #[cfg(feature = "onednn")]
+    pub(crate) fn see_values(&mut self, name: &str, make: impl FnOnce() -> (Vec<usize>, Vec<f32>)) {
+        let Some(sink) = &mut self.sink else { return };
+        let (shape, values) = make();
+        sink(Stage { name: format!("{}{name}", self.prefix), shape, values });
+    }
+
     /// Shows one stage; the first axis is dropped where it is a batch of one image.
     pub(crate) fn see<const D: usize>(&mut self, name: &str, tensor: &Tensor<D>) {
         let Some(sink) = &mut self.sink else { return };

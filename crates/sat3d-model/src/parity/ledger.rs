@@ -36,6 +36,14 @@ pub(super) struct Stage {
     pub name: &'static str,
     /// Relative L2 error.
     pub tolerance: f64,
+    /// How many times the oracle's largest error ours may be.
+    pub times: f64,
+}
+
+impl Stage {
+    pub const fn new(name: &'static str, tolerance: f64) -> Self {
+        Self { name, tolerance, times: TIMES }
+    }
 }
 
 impl<'a> Ledger<'a> {
@@ -67,7 +75,7 @@ impl<'a> Ledger<'a> {
         key: &str,
         ours: &[f64],
     ) -> Result<(), ParityError> {
-        let allowed = oracle(self.set, file.name, key).map(|(_, largest)| TIMES * largest);
+        let allowed = oracle(self.set, file.name, key).map(|(_, largest)| stage.times * largest);
         self.compare_within(stage, file, key, ours, allowed.unwrap_or(f64::NAN))
     }
 

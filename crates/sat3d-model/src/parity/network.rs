@@ -5,26 +5,26 @@ use super::ledger::{Ledger, Stage};
 use super::{ParityError, Set};
 use crate::field::{FieldInputs, PointHead, Representation};
 use crate::illumination::{sky_histogram, sky_histogram_eval_variant};
-use crate::network::{self, BurnNetwork, Device, Network, Observer};
+use crate::network::{self, Execution, Observer, Precision, StagedNetwork};
 use crate::preprocess::{Image8, normalise, resize_bicubic};
 use crate::tensor::Grid;
 use crate::weights::point_head;
 use crate::weights::rule::RuleWeights;
 
-const PREPROCESSING: Stage = Stage { name: "preprocessing", tolerance: 0.0 };
-const ILLUMINATION: Stage = Stage { name: "illumination", tolerance: 0.0 };
-const ENCODER: Stage = Stage { name: "encoder", tolerance: 1e-5 };
-const TOKENS: Stage = Stage { name: "tokens", tolerance: 1e-5 };
-const DECODER: Stage = Stage { name: "decoder", tolerance: 3e-5 };
-const PLANES: Stage = Stage { name: "planes", tolerance: 3e-5 };
-const SKY: Stage = Stage { name: "sky", tolerance: 1e-4 };
+const PREPROCESSING: Stage = Stage::new("preprocessing", 0.0);
+const ILLUMINATION: Stage = Stage::new("illumination", 0.0);
+const ENCODER: Stage = Stage::new("encoder", 1e-5);
+const TOKENS: Stage = Stage::new("tokens", 1e-5);
+const DECODER: Stage = Stage::new("decoder", 3e-5);
+const PLANES: Stage = Stage::new("planes", 3e-5);
+const SKY: Stage = Stage::new("sky", 1e-4);
 
 /// Columns and rows of a panorama whose colours are counted.
 const PANORAMA: (usize, usize) = (512, 128);
 
 /// What the network made of the images: all that is rendered from.
 pub(super) struct Made {
-    pub network: BurnNetwork,
+    pub network: Box<dyn StagedNetwork>,
     pub inputs: FieldInputs,
     pub head: PointHead,
     /// The style code.
@@ -35,7 +35,7 @@ pub(super) struct Made {
 
 pub(super) fn compare(
     set: Set,
-    device: &Device,
+    execution: &Execution,
     goldens: &Goldens,
     ledger: &mut Ledger<'_>,
 ) -> Result<Made, ParityError> {
@@ -45,23 +45,25 @@ pub(super) fn compare(
     let config = set.config()?;
     let weights = RuleWeights::new(&config, set.overrides());
     let head = point_head(&config, &weights)?;
-    let network = BurnNetwork::new(config.clone(), Box::new(weights), *device)?;
+    let network = execution.network(config.clone(), Box::new(weights))?;
+    let held = |stage| held(stage, execution.precision);
 
     // The tri-plane's encoder and sky are those of the tiny network and were not saved again.
     let own = set != Set::TinyTriplane;
     let tokens = watch(
         if own { Some(goldens.file(set, "01_encoder")?) } else { None },
-        ENCODER,
+        held(ENCODER),
         ledger,
         |observer| network.tokens(&image, observer),
     )?;
     let file = goldens.file(set, "02_decoder")?;
-    let map = watch(Some(file), DECODER, ledger, |observer| network.decode(&tokens, observer))?;
+    let map =
+        watch(Some(file), held(DECODER), ledger, |observer| network.decode(&tokens, observer))?;
     let file = goldens.file(set, "02_decoder")?;
     if config.representation == Representation::Triplane {
-        ledger.compare(PLANES, &file, "triplane", &map.data)?;
+        ledger.compare(held(PLANES), &file, "triplane", &map.data)?;
     } else {
-        planes(&file, &map, config.plane_channels, ledger)?;
+        planes(held(PLANES), &file, &map, config.plane_channels, ledger)?;
     }
 
     let style = network.style(&histogram)?;
@@ -69,9 +71,9 @@ pub(super) fn compare(
     if let Some(file) = &file {
         ledger.compare(SKY, file, "w_sky", &style)?;
     }
-    let sky = watch(file, SKY, ledger, |observer| network.sky_observed(&style, observer))?;
+    let sky = watch(file, held(SKY), ledger, |observer| network.sky_observed(&style, observer))?;
     if own {
-        ledger.compare(SKY, &goldens.file(set, "05_sky")?, "sky_feature_2D", &sky.data)?;
+        ledger.compare(held(SKY), &goldens.file(set, "05_sky")?, "sky_feature_2D", &sky.data)?;
     }
     let inputs = FieldInputs {
         map,
@@ -80,6 +82,18 @@ pub(super) fn compare(
         scale: config.scale as f32,
     };
     Ok(Made { network, inputs, head, style, sky })
+}
+
+/// What a stage is held to in a precision: its own tolerance, or the precision's bound, without a limit for single
+/// values.
+fn held(stage: Stage, precision: Precision) -> Stage {
+    let bound = precision.bound();
+    let tolerance = match precision {
+        Precision::Fp32 => return stage,
+        _ if stage.name == ENCODER.name => bound.tokens,
+        _ => bound.planes,
+    };
+    Stage { tolerance, times: f64::INFINITY, ..stage }
 }
 
 /// Runs a module and compares each of its stages that the file knows.
@@ -98,7 +112,8 @@ where
         if failed.is_some() {
             return;
         }
-        let stage = if seen.name == "last_hidden_state" { TOKENS } else { stage };
+        let last = seen.name == "last_hidden_state";
+        let stage = if last { Stage { name: TOKENS.name, ..stage } } else { stage };
         let looked = file.has(&seen.name).and_then(|known| match known {
             true => ledger.compare_stage(stage, &file, &seen),
             false => Ok(()),
@@ -138,16 +153,17 @@ fn illumination(common: &File, ledger: &mut Ledger<'_>) -> Result<Vec<f32>, Pari
 
 /// The plane, every eighth texel of it, and the line: the mean over rows of the map's second half.
 fn planes(
+    stage: Stage,
     file: &File,
     map: &Grid,
     channels: usize,
     ledger: &mut Ledger<'_>,
 ) -> Result<(), ParityError> {
     let (plane, rest) = map.data.split_at(channels * map.height * map.width);
-    ledger.compare(PLANES, file, "plane", plane)?;
+    ledger.compare(stage, file, "plane", plane)?;
     let eighths = |row: &[f32]| row.iter().copied().step_by(8).collect::<Vec<_>>();
     let every: Vec<f32> = plane.chunks(map.width).step_by(8).flat_map(eighths).collect();
-    ledger.compare(PLANES, file, "plane_stride8", &every)?;
+    ledger.compare(stage, file, "plane_stride8", &every)?;
     let mut line = Vec::new();
     for channel in rest.chunks(map.height * map.width) {
         for column in 0..map.width {
@@ -155,5 +171,5 @@ fn planes(
             line.push((rows.map(|v| f64::from(*v)).sum::<f64>() / map.height as f64) as f32);
         }
     }
-    ledger.compare(PLANES, file, "line", &line)
+    ledger.compare(stage, file, "line", &line)
 }

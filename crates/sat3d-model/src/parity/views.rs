@@ -12,7 +12,7 @@ use crate::render::{
 use crate::tensor::Grid;
 
 const fn stage(name: &'static str, tolerance: f64) -> Stage {
-    Stage { name, tolerance }
+    Stage::new(name, tolerance)
 }
 
 const POINTS: Stage = stage("points", 1e-4);

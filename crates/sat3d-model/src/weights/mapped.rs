@@ -115,6 +115,18 @@ impl MappedFile {
         Some(&self.bytes[self.start..][info.data_offsets.0..info.data_offsets.1])
     }
 
+    /// A tensor's values where they lie in the file, if they are f32 of this shape and lie as this processor reads
+    /// them.
+    pub(super) fn mapped(&self, key: &str, shape: &[usize]) -> Option<&[f32]> {
+        let info = self.metadata.info(key)?;
+        if info.shape != shape || info.dtype != Dtype::F32 || cfg!(target_endian = "big") {
+            return None;
+        }
+        // SAFETY: any bits are a float; `align_to` sees to their alignment.
+        let (before, values, after) = unsafe { self.raw(key)?.align_to::<f32>() };
+        (before.is_empty() && after.is_empty()).then_some(values)
+    }
+
     /// Converts one tensor to f32 and gives its pages back to the system.
     ///
     /// # Errors

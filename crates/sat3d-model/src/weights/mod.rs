@@ -35,6 +35,28 @@ pub trait TensorSource: Send + Sync {
     /// # Errors
     /// [`ModelError::Tensors`] where the key is missing or its shape is not `shape`.
     fn read(&self, key: &str, shape: &[usize]) -> Result<Vec<f32>, ModelError>;
+
+    /// The same where they lie, if they lie in memory as f32.
+    fn mapped(&self, _key: &str, _shape: &[usize]) -> Option<&[f32]> {
+        None
+    }
+
+    /// A hint that [`TensorSource::mapped`] will not be read for a while.
+    fn release(&self, _key: &str) {}
+}
+
+impl<T: TensorSource + ?Sized> TensorSource for std::sync::Arc<T> {
+    fn read(&self, key: &str, shape: &[usize]) -> Result<Vec<f32>, ModelError> {
+        (**self).read(key, shape)
+    }
+
+    fn mapped(&self, key: &str, shape: &[usize]) -> Option<&[f32]> {
+        (**self).mapped(key, shape)
+    }
+
+    fn release(&self, key: &str) {
+        (**self).release(key);
+    }
 }
 
 /// Finds the checkpoint in a folder: the folder itself, or `vqmodel_ema` or `vqmodel` inside it.
@@ -157,6 +179,16 @@ impl Checkpoint {
 impl TensorSource for Checkpoint {
     fn read(&self, key: &str, shape: &[usize]) -> Result<Vec<f32>, ModelError> {
         self.file.read(key, shape)
+    }
+
+    fn mapped(&self, key: &str, shape: &[usize]) -> Option<&[f32]> {
+        self.file.mapped(key, shape)
+    }
+
+    fn release(&self, key: &str) {
+        if let Some(bytes) = self.file.raw(key) {
+            self.file.release(bytes);
+        }
     }
 }
 

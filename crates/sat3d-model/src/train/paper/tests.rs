@@ -326,7 +326,8 @@ fn an_exported_model_is_the_one_that_was_trained() {
         assert_eq!(found, keys(&parsed));
     }
     let dsm = |source: Box<dyn TensorSource>| {
-        let model = Model::from_source(parsed.clone(), source, &Device::Cpu).expect("a model");
+        let model =
+            Model::from_source(parsed.clone(), source, &Device::Cpu.into()).expect("a model");
         let scene = model.scene(&noise(1, 32, 32, 3), None, 32.24).expect("a scene");
         let heights = scene.dsm(16, &RenderOptions::default()).height;
         heights.iter().map(|height| height.to_bits()).collect::<Vec<_>>()
@@ -423,7 +424,7 @@ fn the_small_network_learns_likewise() {
     assert!(totals[39] < 0.7 * totals[0], "{totals:?}");
     let Exported { config, average, .. } = whole.export().expect("a model");
     let config = Config::from_json(&config).expect("a config");
-    let model = Model::from_source(config, Box::new(Named::new(average)), &Device::Cpu);
+    let model = Model::from_source(config, Box::new(Named::new(average)), &Device::Cpu.into());
     let scene = model.expect("a model").scene(&noise(1, 32, 32, 3), None, 32.24).expect("a scene");
     let heights = scene.dsm(8, &RenderOptions::default()).height;
     assert!(heights.iter().all(|height| (0.0..0.2).contains(height)), "{heights:?}");
