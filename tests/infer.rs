@@ -92,7 +92,7 @@ fn heights_are_the_scenes_own_north_up_and_eval_scores_them_at_once() {
     // The same numbers as the library gives for the picture.
     let image = picture(640, 640, 0);
     let image = Image8::new(640, 640, 3, image.into_raw()).unwrap();
-    let model = Model::load(weights(), &Device::Cpu).unwrap();
+    let model = Model::load(weights(), &Device::Cpu.into()).unwrap();
     let scene = model.scene(&image, None, 32.24).unwrap();
     let dsm = scene.dsm(256, &RenderOptions::default());
     let file = out.join(format!("{stem}.npz"));

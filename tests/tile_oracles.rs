@@ -211,7 +211,7 @@ fn stride_64_and_trim_32_on_the_released_lattice_are_the_references_slicing() {
     let picture = image::open(input).unwrap().to_rgb8();
     let picture = image::imageops::crop_imm(&picture, 0, 0, 400, 400).to_image();
     let picture = Picture { width: 400, pixels: picture.into_raw() };
-    let model = Model::load(&tiny_weights("tile_oracles"), &Device::Cpu).unwrap();
+    let model = Model::load(&tiny_weights("tile_oracles"), &Device::Cpu.into()).unwrap();
     let lattice = TileLattice::Reference;
     let levels = lattice.levels(model.config.scale).unwrap();
     assert_eq!(levels.z.len(), LEVELS);

@@ -35,7 +35,7 @@ fn run(requests: &ViewRequests) -> Vec<NamedFile> {
     let config = Config::from_json(&config.unwrap()).unwrap();
     let weights = RuleWeights::new(&config, tiny_overrides());
     let device: Device = "cpu".parse().unwrap();
-    let model = Model::from_source(config, Box::new(weights), &device).unwrap();
+    let model = Model::from_source(config, Box::new(weights), &device.into()).unwrap();
     let name = root(&format!("{fixtures}/inputs/satellite_47.6_-122.33.png"));
     let image = image::open(name).unwrap().to_rgb8();
     let image = Image8::new(640, 640, 3, image.into_raw()).unwrap();

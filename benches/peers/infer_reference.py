@@ -2,6 +2,9 @@
 """Times each stage of the reference implementation on the CPU, one line of JSON per stage.
 
     python3 benches/peers/infer_reference.py SAT3DGEN_CHECKOUT CHECKPOINT IMAGE [--threads 2] [--rounds 3]
+        [--precision fp32|fp32-last|bf16|bf16-last] [--dsm-only]
+
+`bf16` has 16-bit weights and maps, `-last` puts channels last; the DSM is always rendered in 32 bits.
 
 The checkout is https://github.com/qianmingduowan/Sat3DGen; it moves tensors to a GPU by `.cuda()`, which
 is made to do nothing here. Needs torch, transformers 4.57, diffusers, einops, easydict, scipy, pillow, tqdm.
@@ -22,6 +25,8 @@ parser.add_argument("checkpoint")
 parser.add_argument("image")
 parser.add_argument("--threads", type=int, default=2)
 parser.add_argument("--rounds", type=int, default=3)
+parser.add_argument("--precision", default="fp32", choices=["fp32", "fp32-last", "bf16", "bf16-last"])
+parser.add_argument("--dsm-only", action="store_true", help="encoder, decoder and DSM, nothing else")
 arguments = parser.parse_args()
 os.environ.setdefault("HF_HUB_OFFLINE", "1")
 sys.path.insert(0, arguments.checkout)
@@ -50,6 +55,10 @@ deviation = torch.tensor([0.229, 0.224, 0.225]).view(1, 3, 1, 1)
 image = (pixels - mean) / deviation
 histogram = torch.full((1, 270), 1.0 / 90.0)
 unet = model.unet_model
+kind = torch.bfloat16 if arguments.precision.startswith("bf16") else torch.float32
+order = torch.channels_last if arguments.precision.endswith("last") else torch.contiguous_format
+unet.to(dtype=kind, memory_format=order)
+image = image.to(kind)
 
 
 def tokens():
@@ -61,7 +70,8 @@ def tokens():
 
 def planes(features):
     # As `from_sat_to_triplane` splits the decoder's output.
-    output, dim = unet.decoder(features), model.opt.network.triplane.dim
+    output = unet.decoder(features.contiguous(memory_format=order)).float()
+    dim = model.opt.network.triplane.dim
     return [output[:, None, :dim], output[:, dim:].mean(dim=2)]
 
 
@@ -110,14 +120,17 @@ with torch.no_grad():
     features = timed("encoder", tokens)
     field = timed("decoder", lambda: planes(features))
     timed("dsm", lambda: ortho(field))
-    light = timed("sky", sky)
-    for name, kind, wanted in (
+    light = None if arguments.dsm_only else timed("sky", sky)
+    for name, output, wanted in (
         ("panorama", "str_output", {"syn_pano": True}),
         ("perspective", "per_output", {"syn_pano": False, "syn_per": True}),
     ):
+        if arguments.dsm_only:
+            break
         result = timed(name, lambda: view(field, light, **wanted))
-        composite = result[kind].image_raw_compo
+        composite = result[output].image_raw_compo
         timed(f"{name}, super-resolution only", lambda: model.sr_module(composite))
-    timed("grid 320", lambda: grid(field))
+    if not arguments.dsm_only:
+        timed("grid 320", lambda: grid(field))
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024 / 1024
 print(json.dumps({"stage": "peak memory", "gib": peak}))

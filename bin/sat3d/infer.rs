@@ -1,6 +1,7 @@
 //! `sat3d infer`: DSMs, meshes and views from satellite images by the network, one image or a city.
 
 use crate::batch_args::{BatchArgs, parse_gsd};
+use crate::compute::ComputeArgs;
 use crate::console;
 use crate::mesh_args::MeshArgs;
 use crate::view_args::ViewArgs;
@@ -8,7 +9,6 @@ use clap::{Subcommand, ValueEnum};
 use sat3d::batch::{ExitCode, Interrupt};
 use sat3d::footprint::VerticalScale;
 use sat3d::infer::{self, InferOptions, Outputs, RunSummary};
-use sat3d::model::Device;
 use sat3d::model::render::{DepthKind, SampleCounts, Sampling};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -60,9 +60,8 @@ struct InferArgs {
     /// Folder that the names of a list are relative to (default: the list's own)
     #[arg(long, value_name = "DIR")]
     root: Option<PathBuf>,
-    /// Where the network runs: cpu, cuda, cuda:<number>, wgpu
-    #[arg(long, value_name = "DEVICE", default_value_t = Device::Cpu)]
-    device: Device,
+    #[command(flatten)]
+    compute: ComputeArgs,
     /// Leave out <stem>.npz
     #[arg(long)]
     no_dsm: bool,
@@ -167,7 +166,7 @@ impl InferArgs {
         let Some(input) = self.input.clone() else { anyhow::bail!("give an INPUT") };
         let mut options = InferOptions::new(input, self.weights.clone(), self.out.clone());
         options.root = self.root.clone();
-        options.device = self.device;
+        options.compute = self.compute.wanted();
         options.size = self.dsm_size;
         options.render.sampling = match self.sampling {
             SamplingArg::Reference => Sampling::Reference,

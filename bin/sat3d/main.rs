@@ -2,6 +2,7 @@
 
 mod batch_args;
 mod completions;
+mod compute;
 mod console;
 mod dsm_bench;
 mod eval;

@@ -4,12 +4,13 @@ mod compare;
 mod export;
 mod score;
 
+use crate::compute::ComputeArgs;
 use crate::console;
 use clap::Subcommand;
 use sat3d::batch::{ExitCode, Progress};
+use sat3d::model::Config;
 use sat3d::model::parity::{self, Comparison, Set};
 use sat3d::model::weights::{Inspection, WEIGHTS_FILE, examine, inspect_with};
-use sat3d::model::{Config, Device};
 use sat3d::weights::{self, Origin, Weights};
 use serde_json::json;
 use std::fmt::Write as _;
@@ -105,9 +106,8 @@ struct VerifyArgs {
     /// Folder of the published parity data, instead of the samples that are built in
     #[arg(long, value_name = "DIR")]
     goldens: Option<PathBuf>,
-    /// Where the network runs: cpu, cuda, cuda:1, wgpu
-    #[arg(long, default_value_t = Device::Cpu)]
-    device: Device,
+    #[command(flatten)]
+    compute: ComputeArgs,
     /// Print every comparison as JSON
     #[arg(long)]
     json: bool,
@@ -285,6 +285,12 @@ fn verify(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
         sets.push(("full", Set::Full));
     }
     let mut all = Vec::new();
+    // Nothing lost, where nothing else is said.
+    let mut wanted = args.compute.wanted();
+    if wanted.precision.is_none() {
+        wanted.tolerance_m = 0.0;
+    }
+    let execution = wanted.choose(&Config::released())?;
     for (name, set) in sets {
         let each = &mut |made: &Comparison| {
             tracing::info!(
@@ -294,7 +300,7 @@ fn verify(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
                 made.largest
             );
         };
-        let made = parity::verify(set, &args.device, args.goldens.as_deref(), each)?;
+        let made = parity::verify(set, &execution, args.goldens.as_deref(), each)?;
         all.extend(made.into_iter().map(|comparison| (name, comparison)));
     }
     let failed = all.iter().filter(|(_, comparison)| !comparison.passes()).count();
@@ -302,7 +308,9 @@ fn verify(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
         let list: Vec<serde_json::Value> =
             all.iter().map(|(set, made)| record(set, made)).collect();
         let value = json!({
-            "device": args.device.to_string(),
+            "device": execution.device.to_string(),
+            "engine": execution.engine,
+            "precision": execution.precision,
             "passed": failed == 0,
             "comparisons": list,
         });
@@ -310,10 +318,10 @@ fn verify(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
     } else {
         let mut out = table(&all)?;
         match failed {
-            0 => writeln!(out, "\nall {} comparisons pass on {}", all.len(), args.device)?,
+            0 => writeln!(out, "\nall {} comparisons pass: {}", all.len(), execution)?,
             _ => {
                 let count = all.len();
-                writeln!(out, "\n{failed} of {count} comparisons fail on {}:", args.device)?;
+                writeln!(out, "\n{failed} of {count} comparisons fail: {}:", execution)?;
                 for (set, made) in all.iter().filter(|(_, made)| !made.passes()) {
                     writeln!(
                         out,

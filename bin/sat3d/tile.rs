@@ -1,12 +1,12 @@
 //! `sat3d tile`: a city from one big picture.
 
 use crate::batch_args::{BatchArgs, parse_gsd};
+use crate::compute::ComputeArgs;
 use crate::console;
 use clap::{Subcommand, ValueEnum};
 use sat3d::batch::{ExitCode, Interrupt};
 use sat3d::footprint::VerticalScale;
 use sat3d::mesh_file::MeshFormat;
-use sat3d::model::Device;
 use sat3d::tile::layout::{Blend, WindowOptions};
 use sat3d::tile::{
     self, CityMeshColour, CityMeshRequest, DsmRequest, TILES3D_ERROR_M, TileLattice, TileOptions,
@@ -57,9 +57,8 @@ struct TileArgs {
     /// Output folder
     #[arg(long, value_name = "DIR", default_value = "out")]
     out: PathBuf,
-    /// Where the network runs: cpu, cuda, cuda:<number>, wgpu
-    #[arg(long, value_name = "DEVICE", default_value_t = Device::Cpu)]
-    device: Device,
+    #[command(flatten)]
+    compute: ComputeArgs,
     /// Memory for the sums of open lines, MiB; what does not fit is kept in a file
     #[arg(long, default_value_t = 4096, value_name = "MIB", value_parser = clap::value_parser!(u64).range(1..=1_048_576))]
     memory: u64,
@@ -259,7 +258,7 @@ impl TileArgs {
     fn options(&self) -> anyhow::Result<TileOptions> {
         let Some(input) = self.input.clone() else { anyhow::bail!("give a PICTURE") };
         let mut options = TileOptions::new(input, self.weights.clone(), self.out.clone());
-        options.device = self.device;
+        options.compute = self.compute.wanted();
         options.windows = WindowOptions {
             stride: self.windows.stride,
             trim: self.windows.trim,

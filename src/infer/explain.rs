@@ -4,9 +4,10 @@ use super::GROUND_TOLERANCE;
 use super::options::InferOptions;
 use crate::footprint::{TRAINING_WIDTH_M, VerticalScale};
 use crate::illumination::Illumination;
-use crate::model::Device;
 use crate::model::mesh::MeshLattice;
+use crate::model::network::Execution;
 use crate::model::render::{DepthKind, RELEASED_RMS, STABLE_RMS, SampleCounts, Sampling};
+use crate::plan::network::{kind, precision_step};
 use crate::plan::{Bound, Plan, Step};
 use crate::weights::Identity;
 use serde_json::{Map, Value, json};
@@ -24,6 +25,8 @@ pub struct Inputs<'a> {
     pub side: usize,
     /// The light of street views.
     pub light: Option<&'a Illumination>,
+    /// How the network is calculated, where there is one.
+    pub execution: Option<Execution>,
 }
 
 /// Resolves the plan.
@@ -35,7 +38,7 @@ pub fn resolve(options: &InferOptions, inputs: &Inputs<'_>) -> Plan {
     steps.extend(options.outputs.views.steps());
     Plan {
         command: "infer".into(),
-        tolerance_m: 0.0,
+        tolerance_m: options.compute.tolerance_m,
         parameters: parameters(options, inputs),
         steps,
     }
@@ -61,7 +64,8 @@ fn network_steps(options: &InferOptions, inputs: &Inputs<'_>) -> Vec<Step> {
         Some([across, down]) => format!("--gsd {across},{down} m per pixel"),
         None => "from name or georeference".into(),
     };
-    let device = device_kind(options.device);
+    let precision = precision_step(inputs.execution, &options.compute);
+    let how = precision.form.clone();
     vec![
         step(
             "decode",
@@ -98,23 +102,24 @@ fn network_steps(options: &InferOptions, inputs: &Inputs<'_>) -> Vec<Step> {
         step(
             "encoder",
             on,
-            format!("f32 on {device}"),
+            how.clone(),
             [
                 "165 GFLOP per image (released network)",
                 "every output needs the field",
-                why("tokens within 1e-5 of the reference, relative, by the parity tests"),
+                why("in fp32 tokens within 1e-5 of the reference, relative, by the parity tests"),
             ],
         ),
         step(
             "decoder",
             on,
-            format!("f32 on {device}"),
+            how.clone(),
             [
                 "981 GFLOP per image (released network)",
                 "every output needs the field",
-                why("planes within 3e-5 of the reference, relative, by the parity tests"),
+                why("in fp32 planes within 3e-5 of the reference, relative, by the parity tests"),
             ],
         ),
+        precision,
         step(
             "fold",
             true,
@@ -322,19 +327,10 @@ fn points(lattice: MeshLattice) -> String {
     }
 }
 
-/// Bytes depend on the kind of device, not on its number.
-const fn device_kind(device: Device) -> &'static str {
-    match device {
-        Device::Cpu => "cpu",
-        Device::Cuda(_) => "cuda",
-        Device::Wgpu => "wgpu",
-    }
-}
-
 fn parameters(options: &InferOptions, inputs: &Inputs<'_>) -> Map<String, Value> {
     let value = json!({
         "weights": inputs.identity,
-        "device": device_kind(options.device),
+        "network": inputs.execution.as_ref().map(kind),
         "outputs": options.outputs,
         "size": options.size,
         "render": options.render,

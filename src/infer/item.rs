@@ -346,7 +346,7 @@ mod tests {
         let read = Arc::new(Mutex::new(Vec::new()));
         let weights = RuleWeights::new(&config, tiny_overrides());
         let source = Watched { weights, read: Arc::clone(&read), panics_at };
-        let model = Model::from_source(config, Box::new(source), &Device::Cpu).unwrap();
+        let model = Model::from_source(config, Box::new(source), &Device::Cpu.into()).unwrap();
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("image.png");
         image::RgbImage::from_fn(30, 20, |x, y| image::Rgb([x as u8, y as u8, 7]))

@@ -9,6 +9,7 @@ use super::run::RunSummary;
 use super::{GROUND_TOLERANCE, InferError};
 use crate::batch::{Header, OutputFile, Status, Verify, count_status, write_atomic};
 use crate::footprint::TRAINING_WIDTH_M;
+use crate::model::network::Execution;
 use crate::model::{Checkpoint, Config};
 use crate::plan::Plan;
 use crate::table::{Column, Table, TableError, wkb};
@@ -51,6 +52,8 @@ pub struct RunFacts<'a> {
     pub checkpoint: Option<&'a Checkpoint>,
     /// What led to the checkpoint.
     pub origin: Option<&'a Origin>,
+    /// How the network was calculated, where there was one.
+    pub execution: Option<Execution>,
 }
 
 /// Writes everything that describes the run. `facts` is absent after a merge.
@@ -107,7 +110,7 @@ fn run_json(facts: &RunFacts<'_>) -> Value {
         "finished_unix_s": now,
         "seconds": facts.summary.seconds,
         "threads": facts.options.threads,
-        "device": facts.options.device.to_string(),
+        "network": facts.execution.map(|execution| execution.to_string()),
         "input": facts.options.input,
         "weights": facts.checkpoint.map(|checkpoint| json!({
             "folder": checkpoint.folder(),

@@ -4,8 +4,8 @@ use crate::batch::{Shard, Verify};
 use crate::footprint::VerticalScale;
 use crate::illumination::Illumination;
 use crate::mesh_file::{self, MeshFormat};
-use crate::model::Device;
 use crate::model::mesh::{MeshColor, MeshFrame, MeshLattice};
+use crate::model::network::Wanted;
 use crate::model::render::{RenderOptions, SampleCounts};
 use crate::views::ViewRequests;
 use serde::Serialize;
@@ -172,8 +172,8 @@ pub struct InferOptions {
     /// Checkpoint folder, else found as [`crate::weights::find`] says; not needed where the input is scene files
     /// alone and no street view is asked for.
     pub weights: Option<PathBuf>,
-    /// Where the network runs.
-    pub device: Device,
+    /// Where, by what and how exactly the network is calculated.
+    pub compute: Wanted,
     /// Output folder.
     pub out: PathBuf,
     /// What is made of each image.
@@ -210,7 +210,7 @@ impl InferOptions {
             input,
             root: None,
             weights,
-            device: Device::Cpu,
+            compute: Wanted::default(),
             out,
             outputs: Outputs::default(),
             size: 256,

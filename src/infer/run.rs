@@ -147,7 +147,10 @@ pub fn prepare(mut options: InferOptions) -> Result<Prepared, InferError> {
     let identity = checkpoint.as_ref().map(Identity::of);
     let model = checkpoint
         .as_ref()
-        .map(|checkpoint| Model::of_checkpoint(checkpoint, &options.device))
+        .map(|checkpoint| {
+            let execution = options.compute.choose(checkpoint.config())?;
+            Model::of_checkpoint(checkpoint, &execution)
+        })
         .transpose()?;
     let side = model.as_ref().map_or(256, |model| model.config.image_side());
     options.render.samples = match (options.samples, &model) {
@@ -167,7 +170,9 @@ pub fn prepare(mut options: InferOptions) -> Result<Prepared, InferError> {
         (Some(light), true) => Some(light.clone()),
         (None, true) => Some(Illumination::parse(None, None)?),
     };
-    let inputs = Inputs { pictures, identity: identity.as_ref(), side, light: light.as_ref() };
+    let execution = model.as_ref().filter(|_| pictures).map(|model| model.execution);
+    let inputs =
+        Inputs { pictures, identity: identity.as_ref(), side, light: light.as_ref(), execution };
     let plan = explain::resolve(&options, &inputs);
     warnings.extend(options.outputs.views.notes());
     warnings.extend(ground_warnings(&options, &entries));
@@ -372,7 +377,8 @@ impl Prepared {
             if options.shard.is_whole() {
                 let checkpoint = self.checkpoint.as_ref();
                 let origin = self.origin.as_ref();
-                let facts = RunFacts { summary: &summary, options, checkpoint, origin };
+                let execution = self.model.as_ref().map(|model| model.execution);
+                let facts = RunFacts { summary: &summary, options, checkpoint, origin, execution };
                 manifest::write(out, &header, records, Some(&facts))?;
             }
         }

@@ -4,6 +4,8 @@
 //! A plan is a plain value: `--explain` prints it, its hash goes into the manifest, and the run
 //! executes what it says and nothing else.
 
+pub(crate) mod network;
+
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::fmt::Write as _;

@@ -5,7 +5,8 @@ use super::layout::{AxisWindows, Blend, WINDOW};
 use super::network::TileLattice;
 use super::options::{TileOptions, TileOutputs};
 use super::surface::output::CityMeshColour;
-use crate::model::Device;
+use crate::model::network::Execution;
+use crate::plan::network::{kind, precision_step};
 use crate::plan::{Bound, Plan, Step};
 use crate::weights::Identity;
 use serde_json::{Map, Value, json};
@@ -30,6 +31,8 @@ pub struct Inputs<'a> {
     pub masked: bool,
     /// The weights.
     pub identity: &'a Identity,
+    /// How the network is calculated.
+    pub execution: Execution,
     /// What is written.
     pub outputs: &'a TileOutputs,
     /// Bytes of the sums of open lines.
@@ -40,11 +43,12 @@ pub struct Inputs<'a> {
 pub fn resolve(options: &TileOptions, inputs: &Inputs<'_>) -> Plan {
     let mut steps = picture_steps(inputs);
     steps.extend(window_steps(options, inputs));
+    steps.push(precision_step(Some(inputs.execution), &options.compute));
     steps.extend(height_steps(options, inputs));
     steps.extend(surface_steps(options, inputs));
     Plan {
         command: "tile".into(),
-        tolerance_m: 0.0,
+        tolerance_m: options.compute.tolerance_m,
         parameters: parameters(options, inputs),
         steps,
     }
@@ -342,14 +346,9 @@ fn surface_steps(options: &TileOptions, inputs: &Inputs<'_>) -> Vec<Step> {
 }
 
 fn parameters(options: &TileOptions, inputs: &Inputs<'_>) -> Map<String, Value> {
-    let device = match options.device {
-        Device::Cpu => "cpu",
-        Device::Cuda(_) => "cuda",
-        Device::Wgpu => "wgpu",
-    };
     let value = json!({
         "weights": inputs.identity,
-        "device": device,
+        "network": kind(&inputs.execution),
         "picture": { "size_px": inputs.picture, "bytes": inputs.picture_bytes },
         "city": inputs.city,
         "outputs": inputs.outputs,

@@ -6,7 +6,7 @@ use super::surface::output::CityMeshColour;
 use crate::batch::{Shard, Verify};
 use crate::footprint::VerticalScale;
 use crate::mesh_file::MeshFormat;
-use crate::model::Device;
+use crate::model::network::Wanted;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -116,8 +116,8 @@ pub struct TileOptions {
     pub input: PathBuf,
     /// Checkpoint folder; else as [`crate::weights::find`] has it.
     pub weights: Option<PathBuf>,
-    /// Where the network runs.
-    pub device: Device,
+    /// Where, by what and how exactly the network is calculated.
+    pub compute: Wanted,
     /// Output folder.
     pub out: PathBuf,
     /// What is written; heights and mesh where nothing is asked for.
@@ -157,7 +157,7 @@ impl TileOptions {
         Self {
             input,
             weights,
-            device: Device::Cpu,
+            compute: Wanted::default(),
             out,
             outputs: TileOutputs::default(),
             windows: WindowOptions::default(),

@@ -111,7 +111,8 @@ pub fn prepare(mut options: TileOptions) -> Result<Prepared, TileError> {
     warnings.extend(found.note());
     let checkpoint = found.open()?;
     let identity = Identity::of(&checkpoint);
-    let model = Model::of_checkpoint(&checkpoint, &options.device)?;
+    let execution = options.compute.choose(checkpoint.config())?;
+    let model = Model::of_checkpoint(&checkpoint, &execution)?;
     let job = job(&options, &ground, &model, &identity)?;
     let windows = job.axis_windows()?;
     let city = &job.city;
@@ -123,6 +124,7 @@ pub fn prepare(mut options: TileOptions) -> Result<Prepared, TileError> {
         &options,
         &Inputs {
             city,
+            execution,
             windows: &windows,
             ground: &ground.rule.words(),
             picture: picture.size(),
@@ -478,7 +480,7 @@ impl Prepared {
             "window_seconds": summary.window_seconds,
             "windows_run": summary.windows_run,
             "threads": options.threads,
-            "device": options.device.to_string(),
+            "network": self.model.execution.to_string(),
             "input": options.input,
             "weights": { "folder": self.checkpoint.folder(), "origin": self.origin },
             "machine": { "os": std::env::consts::OS, "architecture": std::env::consts::ARCH },

@@ -86,7 +86,7 @@ impl HeldOut {
     pub fn look(&self, step: u64, exported: &Exported) -> Result<Option<Scores>, TrainingError> {
         let config = Config::from_json(&exported.config)?;
         let source = Box::new(Named::new(exported.average.clone()));
-        let model = Model::from_source(config, source, &self.device)?;
+        let model = Model::from_source(config, source, &self.device.into())?;
         let mut sums = Sums::default();
         for (index, example) in self.examples.iter().enumerate() {
             let side = example.satellite.width;

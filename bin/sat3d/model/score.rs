@@ -1,10 +1,11 @@
 //! `sat3d model score`: a model on simulated scenes that no training saw.
 
+use crate::compute::ComputeArgs;
 use crate::console;
 use crate::infer::ScaleArg;
 use sat3d::batch::{ExitCode, Progress, write_atomic};
 use sat3d::footprint::{Footprint, VerticalScale};
-use sat3d::model::{Device, Model};
+use sat3d::model::Model;
 use sat3d::score::{Options, gates, score, table};
 use sat3d::weights::{self, whole_hash};
 use serde_json::json;
@@ -47,9 +48,8 @@ pub struct Args {
     /// End with 1 where a gate of the small model fails
     #[arg(long)]
     gates: bool,
-    /// Where the network runs: cpu, cuda, cuda:1, wgpu
-    #[arg(long, default_value_t = Device::Cpu)]
-    device: Device,
+    #[command(flatten)]
+    compute: ComputeArgs,
     /// Write the report, with every scene, to a file too
     #[arg(short, long, value_name = "FILE")]
     out: Option<PathBuf>,
@@ -81,8 +81,8 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
         console::print(if args.json { &text } else { &said })?;
         return Ok(ExitCode::Success);
     }
-    let model =
-        Model::from_source(checkpoint.config().clone(), Box::new(checkpoint), &args.device)?;
+    let execution = args.compute.wanted().choose(checkpoint.config())?;
+    let model = Model::from_source(checkpoint.config().clone(), Box::new(checkpoint), &execution)?;
     let count = args.seeds.len() * usize::try_from(args.scenes)?;
     let progress = Progress::new("scoring", "scene", count, console::quiet());
     let report = score(&model, &options, &|| progress.add(1))?;
@@ -92,7 +92,9 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let value = json!({
         "weights": weights,
         "sha256": sha256,
-        "device": args.device.to_string(),
+        "device": execution.device.to_string(),
+        "engine": execution.engine,
+        "precision": execution.precision,
         "report": report,
         "gates": gates,
     });

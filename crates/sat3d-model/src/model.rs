@@ -39,6 +39,8 @@ pub struct Model {
     pub head: PointHead,
     /// The network's stages.
     pub network: Box<dyn Network>,
+    /// How they are calculated.
+    pub execution: Execution,
 }
 
 impl std::fmt::Debug for Model {
@@ -85,7 +87,7 @@ impl Model {
             }
             None => execution.network(config.clone(), source)?,
         };
-        Ok(Self { config, head, network })
+        Ok(Self { config, head, network, execution: *execution })
     }
 
     /// A satellite image of any size (RGB, north up) to all that its field needs: resized,

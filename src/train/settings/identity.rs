@@ -1,6 +1,6 @@
 //! What the weights depend on, and what may differ when a training goes on.
 
-use super::{ModelKind, ObjectiveKind, Settings};
+use super::{ObjectiveKind, Settings};
 use crate::batch::OutputFile;
 use crate::model::weights::{BuiltIn, WEIGHTS_FILE, locate};
 use crate::plan::hex;

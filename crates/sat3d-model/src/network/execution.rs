@@ -69,8 +69,8 @@ impl From<Device> for Execution {
     }
 }
 
-/// What is asked for; [`Execution::choose`] finds what serves it fastest.
-#[derive(Clone, Copy, Debug)]
+/// What is asked for; [`Wanted::choose`] finds what serves it fastest.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wanted {
     /// Where.
     pub device: Device,
@@ -78,68 +78,77 @@ pub struct Wanted {
     pub engine: Option<Engine>,
     /// How exactly; `None` takes the fastest whose bound on a DSM's error is within the tolerance.
     pub precision: Option<Precision>,
-    /// Error of a DSM (95 % quantile) that may be made, in metres.
+    /// Error of a DSM (95 % quantile, at 64.48 m per unit) that may be made, in metres.
     pub tolerance_m: f64,
-    /// Height of one cube unit in metres.
-    pub metres_per_unit: f64,
 }
 
-impl Execution {
-    /// The fastest that serves what is asked for on this machine.
+impl Default for Wanted {
+    /// The processor, the fastest that is within [`Wanted::TOLERANCE_M`].
+    fn default() -> Self {
+        Self { device: Device::Cpu, engine: None, precision: None, tolerance_m: Self::TOLERANCE_M }
+    }
+}
+
+impl Wanted {
+    /// What a DSM may lose where nothing else is said: a hundredth of what the published scoring resolves.
+    pub const TOLERANCE_M: f64 = 0.05;
+
+    /// The fastest that serves what is asked for on this machine, for this network.
     ///
     /// ```
-    /// use sat3d_model::network::{Execution, Precision, Wanted};
-    /// use sat3d_model::Device;
+    /// use sat3d_model::network::{Precision, Wanted};
+    /// use sat3d_model::Config;
     ///
-    /// let wanted = Wanted {
-    ///     device: Device::Cpu,
-    ///     engine: None,
-    ///     precision: None,
-    ///     tolerance_m: 0.0,
-    ///     metres_per_unit: 32.24,
-    /// };
     /// // Nothing may be lost.
-    /// assert_eq!(Execution::choose(&wanted)?.precision, Precision::Fp32);
+    /// let wanted = Wanted { tolerance_m: 0.0, ..Wanted::default() };
+    /// assert_eq!(wanted.choose(&Config::released())?.precision, Precision::Fp32);
     /// # Ok::<(), sat3d_model::ModelError>(())
     /// ```
     ///
     /// # Errors
     /// [`ModelError::Device`] where what was named is not served here, with the reason.
-    pub fn choose(wanted: &Wanted) -> Result<Self, ModelError> {
-        let Wanted { device, engine, precision, .. } = *wanted;
-        let burn = Self::from(device);
-        let refused = |engine: Engine, precision: Precision| {
-            Self { device, engine, precision }.refusal().map(|why| ModelError::Device {
-                name: format!("{engine}, {precision} on {device}"),
-                why,
-            })
+    pub fn choose(&self, config: &Config) -> Result<Execution, ModelError> {
+        let Self { device, engine, precision, tolerance_m } = *self;
+        let burn = Execution::from(device);
+        let of = |engine, precision| {
+            let execution = Execution { device, engine, precision };
+            match execution.refusal() {
+                Some(why) => Err(ModelError::Device { name: execution.to_string(), why }),
+                None => Ok(execution),
+            }
         };
+        if config.unet.is_some() {
+            let (engine, precision) = (engine.unwrap_or_default(), precision.unwrap_or_default());
+            let wanted = Execution { device, engine, precision };
+            let why = "the small network is calculated in 32-bit floats by burn: leave --engine and --precision out";
+            return if wanted == burn {
+                Ok(burn)
+            } else {
+                Err(ModelError::Device { name: wanted.to_string(), why: why.into() })
+            };
+        }
         match (engine, precision) {
-            (Some(engine), Some(precision)) => match refused(engine, precision) {
-                Some(error) => Err(error),
-                None => Ok(Self { device, engine, precision }),
-            },
-            (None, Some(precision)) => match refused(Engine::OneDnn, precision) {
-                None => Ok(Self { device, engine: Engine::OneDnn, precision }),
-                Some(_) if precision == Precision::Fp32 => Ok(burn),
-                Some(error) => Err(error),
-            },
+            (Some(engine), Some(precision)) => of(engine, precision),
             (Some(Engine::Burn), None) => Ok(burn),
+            (None, Some(Precision::Fp32)) => {
+                Ok(of(Engine::OneDnn, Precision::Fp32).unwrap_or(burn))
+            }
+            (None, Some(precision)) => of(Engine::OneDnn, precision),
             (engine, None) => {
-                let engine_there = refused(Engine::OneDnn, Precision::Fp32);
-                if let Some(error) = engine_there {
-                    return if engine.is_some() { Err(error) } else { Ok(burn) };
+                let exact = of(Engine::OneDnn, Precision::Fp32);
+                if exact.is_err() && engine.is_none() {
+                    return Ok(burn);
                 }
-                let within = |precision: &Precision| {
-                    let error = precision.bound().p95 * wanted.metres_per_unit;
-                    error <= wanted.tolerance_m && refused(Engine::OneDnn, *precision).is_none()
-                };
-                let precision = by_speed().into_iter().find(within).unwrap_or_default();
-                Ok(Self { device, engine: Engine::OneDnn, precision })
+                let within = |precision: &Precision| precision.bound().p95_m <= tolerance_m;
+                let fitting = by_speed().into_iter().filter(within);
+                let mut served = fitting.filter_map(|precision| of(Engine::OneDnn, precision).ok());
+                served.next().map_or(exact, Ok)
             }
         }
     }
+}
 
+impl Execution {
     /// Why this machine, or this program, does not serve it; `None` where it does.
     #[must_use]
     pub fn refusal(&self) -> Option<String> {
@@ -201,21 +210,18 @@ mod tests {
     use super::*;
 
     fn wanted(tolerance_m: f64) -> Wanted {
-        Wanted {
-            device: Device::Cpu,
-            engine: None,
-            precision: None,
-            tolerance_m,
-            metres_per_unit: 64.48,
-        }
+        Wanted { tolerance_m, ..Wanted::default() }
+    }
+
+    fn choose(wanted: Wanted) -> Result<Execution, ModelError> {
+        wanted.choose(&Config::released())
     }
 
     #[test]
     fn the_bound_of_what_is_chosen_is_within_the_tolerance() {
         for tolerance_m in [0.0, 1e-4, 1e-3, 0.01, 0.1, 1.0, 2.0] {
-            let chosen =
-                Execution::choose(&wanted(tolerance_m)).expect("something is always there");
-            assert!(chosen.precision.bound().p95 * 64.48 <= tolerance_m, "{chosen}");
+            let chosen = choose(wanted(tolerance_m)).expect("something is always there");
+            assert!(chosen.precision.bound().p95_m <= tolerance_m, "{chosen}");
             assert_eq!(chosen.refusal(), None);
         }
     }
@@ -223,19 +229,34 @@ mod tests {
     #[test]
     fn what_is_named_is_taken_or_refused_with_the_reason() {
         let burn = Wanted { engine: Some(Engine::Burn), ..wanted(10.0) };
-        assert_eq!(Execution::choose(&burn).expect("always there"), Device::Cpu.into());
+        assert_eq!(choose(burn).expect("always there"), Device::Cpu.into());
         let halves = Wanted { precision: Some(Precision::Bf16), ..burn };
-        let error = Execution::choose(&halves).expect_err("burn has none").to_string();
-        assert!(error.contains("burn, bf16 on cpu") && error.contains("oneDNN serves"), "{error}");
-        let card =
-            Wanted { device: Device::Cuda(0), precision: Some(Precision::Bf16), ..wanted(0.0) };
-        let error = Execution::choose(&card).expect_err("oneDNN has no card").to_string();
+        let error = choose(halves).expect_err("burn has none").to_string();
+        assert!(
+            error.contains("bf16 by burn on cpu") && error.contains("oneDNN serves"),
+            "{error}"
+        );
+        let halves = Some(Precision::Bf16);
+        let card = Wanted { device: Device::Cuda(0), precision: halves, ..wanted(0.0) };
+        let error = choose(card).expect_err("oneDNN has no card").to_string();
         assert!(error.contains("--device cpu"), "{error}");
         // A card is burn's, whatever the tolerance.
         let card = Wanted { device: Device::Cuda(0), ..wanted(10.0) };
-        assert_eq!(Execution::choose(&card).expect("burn"), Device::Cuda(0).into());
+        assert_eq!(choose(card).expect("burn"), Device::Cuda(0).into());
         let exact = Wanted { precision: Some(Precision::Fp32), ..wanted(10.0) };
-        assert_eq!(Execution::choose(&exact).expect("always there").precision, Precision::Fp32);
+        assert_eq!(choose(exact).expect("always there").precision, Precision::Fp32);
+    }
+
+    #[test]
+    fn the_small_network_has_one_way() {
+        let small = Config::from_json(crate::weights::MINI.config).expect("a config");
+        for engine in [None, Some(Engine::Burn)] {
+            let wanted = Wanted { engine, ..wanted(10.0) };
+            assert_eq!(wanted.choose(&small).expect("burn"), Device::Cpu.into());
+        }
+        let wanted = Wanted { precision: Some(Precision::Bf16), ..wanted(10.0) };
+        let error = wanted.choose(&small).expect_err("not served").to_string();
+        assert!(error.contains("small network"), "{error}");
     }
 
     #[test]

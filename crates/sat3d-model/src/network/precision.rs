@@ -25,10 +25,10 @@ pub struct PrecisionBound {
     pub tokens: f64,
     /// Relative L2 error of the planes.
     pub planes: f64,
-    /// Mean error of a DSM in cube units.
-    pub mean: f64,
+    /// Mean error of a DSM in metres, at 64.48 m per unit of its heights (VIGOR's crops by the published scoring).
+    pub mean_m: f64,
     /// Its 95 % quantile.
-    pub p95: f64,
+    pub p95_m: f64,
 }
 
 impl Precision {
@@ -45,20 +45,15 @@ impl Precision {
         }
     }
 
-    /// What it may cost. Metres of 64.48 m per unit are those of the published scoring's crop.
+    /// What it may cost.
     #[must_use]
     pub const fn bound(self) -> PrecisionBound {
         match self {
-            Self::Fp32 => PrecisionBound { tokens: 1e-5, planes: 3e-5, mean: 0.0, p95: 0.0 },
-            Self::Fp32Winograd => PrecisionBound {
-                tokens: 1e-5,
-                planes: 1e-4,
-                mean: 0.001 / 64.48,
-                p95: 0.004 / 64.48,
-            },
-            Self::Bf16 => {
-                PrecisionBound { tokens: 1e-2, planes: 3e-2, mean: 0.3 / 64.48, p95: 1.2 / 64.48 }
+            Self::Fp32 => PrecisionBound { tokens: 1e-5, planes: 3e-5, mean_m: 0.0, p95_m: 0.0 },
+            Self::Fp32Winograd => {
+                PrecisionBound { tokens: 1e-5, planes: 1e-4, mean_m: 0.01, p95_m: 0.05 }
             }
+            Self::Bf16 => PrecisionBound { tokens: 1e-2, planes: 3e-2, mean_m: 0.3, p95_m: 1.2 },
         }
     }
 }

@@ -64,7 +64,7 @@ impl Heads {
         let mut shares = context.take(self.square);
         let mixed = context.take(self.rows);
         let session = &mut context.session;
-        let mut run = || {
+        let run = || {
             let view = |layout, (values, first)| View::part(layout, values, first);
             let (query, key) = (view(self.query, query)?, view(self.key, key)?);
             self.logits.run(session, query, key, &[], &mut logits)?;
