@@ -192,7 +192,8 @@ fn a_network_is_scored_the_same_every_time_on_scenes_of_its_own() {
     let config = include_str!("../../crates/sat3d-model/fixtures/tiny/model/config.json");
     let config = Config::from_json(config).expect("a config");
     let weights = RuleWeights::new(&config, tiny_overrides());
-    let model = Model::from_source(config, Box::new(weights), &Device::Cpu.into()).expect("a model");
+    let model =
+        Model::from_source(config, Box::new(weights), &Device::Cpu.into()).expect("a model");
     let options = Options {
         seeds: vec![4, 5],
         scenes: 2,

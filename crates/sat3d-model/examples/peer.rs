@@ -1,7 +1,7 @@
 //! Times each stage from image to outputs, one line of JSON per stage, for `benches/peers/infer.sh`:
 //!
 //! ```text
-//! RAYON_NUM_THREADS=2 cargo run --release -p sat3d-model --example peer -- CHECKPOINT IMAGE.png [ROUNDS [ENGINE PRECISION]]
+//! RAYON_NUM_THREADS=2 cargo run --release -p sat3d-model --example peer -- CHECKPOINT IMAGE.png [ROUNDS [ENGINE PRECISION [network]]]
 //! ```
 //!
 //! The median of the rounds; every stage is warm but for the first round of the network, which reads weights.
@@ -54,14 +54,14 @@ fn read(path: &Path) -> Result<Image8, Box<dyn Error>> {
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [folder, image, rest @ ..] = arguments.as_slice() else {
-        return Err("usage: peer CHECKPOINT IMAGE.png [ROUNDS [ENGINE PRECISION]]".into());
+        return Err("usage: peer CHECKPOINT IMAGE.png [ROUNDS [ENGINE PRECISION [network]]]".into());
     };
     let rounds = rest.first().map_or(Ok(3), |text| text.parse())?;
     let checkpoint = Checkpoint::open(Path::new(folder))?;
     let config = checkpoint.config().clone();
     let head = point_head(&config, &checkpoint)?;
     let (engine, precision): (Engine, Precision) = match &rest[rest.len().min(1)..] {
-        [engine, precision] => (engine.parse()?, precision.parse()?),
+        [engine, precision, ..] => (engine.parse()?, precision.parse()?),
         _ => Default::default(),
     };
     let execution = Execution { device: Device::Cpu, engine, precision };
@@ -79,6 +79,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     let options = RenderOptions::default();
     let plain = timed("fold", rounds, || Ok(field::Field::new(&inputs, &head, None)?))?;
     timed("dsm", rounds, || Ok(dsm(&plain, 256, &options)))?;
+    if rest.len() > 3 {
+        return peak_memory();
+    }
     let (style, sky) = timed("sky", rounds, || {
         let style = network.style(&histogram)?;
         let sky = network.sky(&style)?;
@@ -104,6 +107,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let grid = ReferenceGrid { count: 320, border: Border::Zero };
     timed("grid 320", rounds, || Ok(reference_grid(&plain, &grid)))?;
+    peak_memory()
+}
+
+fn peak_memory() -> Result<(), Box<dyn Error>> {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     if let Some(kib) = status.lines().find_map(|line| line.strip_prefix("VmHWM:")) {
         let kib: f64 = kib.trim().trim_end_matches(" kB").parse()?;

@@ -18,7 +18,9 @@ pub enum Precision {
     Bf16,
 }
 
-/// Bounds of a precision's error against direct 32-bit floats, held by the parity tests.
+/// Bounds of a precision's error against direct 32-bit floats. Those of tokens and planes are held to the published parity
+/// data; those of a DSM also hold for weights with outliers
+/// ([`crate::weights::rule::RuleWeights::with_outliers`]), on which 16-bit floats lose three times as much.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PrecisionBound {
     /// Relative L2 error of the tokens.
@@ -51,9 +53,9 @@ impl Precision {
         match self {
             Self::Fp32 => PrecisionBound { tokens: 1e-5, planes: 3e-5, mean_m: 0.0, p95_m: 0.0 },
             Self::Fp32Winograd => {
-                PrecisionBound { tokens: 1e-5, planes: 1e-4, mean_m: 0.01, p95_m: 0.05 }
+                PrecisionBound { tokens: 1e-5, planes: 1e-4, mean_m: 0.001, p95_m: 0.005 }
             }
-            Self::Bf16 => PrecisionBound { tokens: 1e-2, planes: 3e-2, mean_m: 0.3, p95_m: 1.2 },
+            Self::Bf16 => PrecisionBound { tokens: 1e-2, planes: 3e-2, mean_m: 0.6, p95_m: 2.5 },
         }
     }
 }
