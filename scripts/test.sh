@@ -49,8 +49,9 @@ stage 'tests' cargo test --locked --workspace --no-fail-fast -- --show-output
 # What differs without GDAL and PROJ: reading, coordinates, their messages, the bytes of a benchmark; every other
 # test would only be linked once more.
 pure=(cli raster_pure raster_bad_input crs_definitions dsm_bench_build dsm_bench_bad_input simulate)
-stage 'tests, pure' cargo test --locked --no-fail-fast --no-default-features --lib --bins \
-    "${pure[@]/#/--test=}" -- --show-output
+stage 'tests, pure' cargo test --locked --no-fail-fast --no-default-features --lib --bins -- --show-output
+stage 'tests, pure, end to end' cargo test --locked --no-fail-fast --no-default-features --test suite -- \
+    --show-output "${pure[@]/%/::}"
 stage 'documentation' env RUSTDOCFLAGS='-D warnings' cargo doc --locked --workspace --no-deps --document-private-items
 if command -v cargo-deny >/dev/null; then
     stage 'licences and advisories' cargo deny --locked check

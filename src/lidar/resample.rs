@@ -1,6 +1,6 @@
 //! Resampling kernels with GDAL's rules, NaN-aware.
 //!
-//! The rules, as `gdalwarp` 3.6 applies them (measured against it in `tests/gdalwarp_parity.rs`):
+//! The rules, as `gdalwarp` 3.6 applies them (measured against it in `tests/suite/gdalwarp_parity.rs`):
 //!
 //! * `nearest`: the cell that holds the point.
 //! * `bilinear`: the point's own cell must be valid; then the four taps, weights renormalised over

@@ -146,7 +146,7 @@ fn the_cache_says_what_it_lacks() {
 }
 
 /// The cases of `huggingface_hub`'s own order; the same list is run through it in
-/// `tests/model_fetch.rs`.
+/// `tests/suite/model_fetch.rs`.
 #[test]
 fn the_cache_is_where_the_python_library_has_it() {
     for (set, expected) in [

@@ -59,10 +59,10 @@ fn plain(case: &Case, input: &[f32], weights: &[f32], bias: &[f32]) -> Vec<f64> 
         case.size[axis] + case.before[axis] + case.after[axis] + 1 - case.kernel[axis]
     };
     let mut result = Vec::new();
-    for output in 0..case.outputs {
+    for (output, bias) in bias.iter().enumerate().take(case.outputs) {
         for row in 0..across(0) {
             for column in 0..across(1) {
-                let mut sum = f64::from(bias[output]);
+                let mut sum = f64::from(*bias);
                 for channel in 0..case.inputs {
                     for y in 0..case.kernel[0] {
                         for x in 0..case.kernel[1] {
@@ -166,7 +166,7 @@ fn convolutions_are_those_of_the_plain_loop() {
                 match (made, element) {
                     // Products of 16-bit floats are exact in 32 bits; the sums are rounded as those of 32-bit ones.
                     (Ok(apart), _) => {
-                        assert!(apart < 2e-6, "{index} {order:?} {element:?}: {apart}")
+                        assert!(apart < 2e-6, "{index} {order:?} {element:?}: {apart}");
                     }
                     (Err(Error::Unimplemented { .. }), Element::Bf16) => {
                         println!("SKIPPED: no convolution of 16-bit floats on this processor");

@@ -32,5 +32,5 @@ fn labels(set: &EvaluationSet) -> Vec<String> {
 #[cfg(test)]
 use crate as library;
 #[cfg(test)]
-#[path = "../../../tests/eval_support/sample.rs"]
+#[path = "../../../tests/suite/eval_support/sample.rs"]
 mod sample;

@@ -29,7 +29,7 @@ pub const LEAST_OPACITY: f64 = 0.05;
 
 /// Error of the released quadrature in a DSM, cube units: rms of normalised depth against the exact integral of
 /// the same field, the worst of four closed-form cities at 48 + 48 samples. Measured, not proven
-/// (`tests/render_city.rs` holds it).
+/// (`tests/suite/render_city.rs` holds it).
 pub const RELEASED_RMS: f64 = 5.8e-4;
 /// The same of [`Sampling::Stable`].
 pub const STABLE_RMS: f64 = 6.6e-5;

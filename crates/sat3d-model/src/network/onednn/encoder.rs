@@ -148,16 +148,6 @@ impl Encoder {
         Ok(Grid::new(hidden, PATCHES, PATCHES, (0..hidden).flat_map(channel).collect()))
     }
 
-    /// Lets go of what the file's pages hold in memory; they come back when they are read again.
-    pub(super) fn release(&self, root: &Place<'_>) {
-        for layer in &self.layers {
-            let [q, k, v] = &layer.parts;
-            for dense in [q, k, v, &layer.output, &layer.up, &layer.down] {
-                dense.release(root);
-            }
-        }
-    }
-
     /// Class token, register tokens, patches: rows of tokens.
     fn embed(
         &self,

@@ -140,10 +140,7 @@ impl StagedNetwork for OneDnnNetwork {
                     encoder.insert(Encoder::load(self.library, &place, config, element)?)
                 }
             };
-            let root = self.root();
-            let tokens = encoder.forward(context, image, &root, &mut probe(observer));
-            encoder.release(&root);
-            tokens
+            encoder.forward(context, image, &self.root(), &mut probe(observer))
         })
     }
 

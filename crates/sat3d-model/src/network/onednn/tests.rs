@@ -109,7 +109,7 @@ fn a_pass_normalises_wraps_doubles_and_rounds() {
                     let memory = prepared(&mut context, &map, &change, target).unwrap();
                     let [height, width] = target.size([4, 6]);
                     let lanes = map.lanes();
-                    for channel in 0..32 {
+                    for (channel, [mean, scale, shift]) in norm.iter().enumerate() {
                         for row in 0..height {
                             for column in 0..width {
                                 let from = |at: usize, side: usize| {
@@ -119,7 +119,6 @@ fn a_pass_normalises_wraps_doubles_and_rounds() {
                                 };
                                 let value =
                                     plain.channel(channel)[from(row, 4) * 6 + from(column, 6)];
-                                let [mean, scale, shift] = norm[channel];
                                 let value = f64::from((value - mean) * scale + shift);
                                 let wanted = value / (1.0 + libm::exp(-value));
                                 let pixel = row * width + column;
