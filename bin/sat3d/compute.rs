@@ -17,7 +17,7 @@ pub struct ComputeArgs {
     #[arg(long, value_name = "PRECISION", default_value = "auto")]
     precision: Choice<Precision>,
     /// Error of the heights that auto may make, metres (95 % quantile, at 64.48 m per unit)
-    #[arg(long, value_name = "M", default_value_t = Wanted::TOLERANCE_M, value_parser = metres)]
+    #[arg(long, value_name = "M", default_value_t = Wanted::TOLERANCE_M, value_parser = metres, allow_negative_numbers = true)]
     tolerance: f64,
 }
 

@@ -321,7 +321,7 @@ fn verify(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
             0 => writeln!(out, "\nall {} comparisons pass: {}", all.len(), execution)?,
             _ => {
                 let count = all.len();
-                writeln!(out, "\n{failed} of {count} comparisons fail: {}:", execution)?;
+                writeln!(out, "\n{failed} of {count} comparisons fail: {execution}:")?;
                 for (set, made) in all.iter().filter(|(_, made)| !made.passes()) {
                     writeln!(
                         out,

@@ -221,7 +221,7 @@ fn every_stage_equals_the_reference() {
     let json: Value = serde_json::from_str(&json).unwrap();
     let list = json["comparisons"].as_array().unwrap();
     assert_eq!(json["passed"], true);
-    assert!(text.contains(&format!("all {} comparisons pass on cpu", list.len())), "{text}");
+    assert!(text.contains(&format!("all {} comparisons pass: fp32 by ", list.len())), "{text}");
     // Each comparison compared something.
     assert!(list.iter().all(|made| made["relative_l2"].is_number() && made["passes"] == true));
     let (_, stderr) = ran(&mut model(&["verify", "--goldens", "/no/such/folder"]), 2);
