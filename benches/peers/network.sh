@@ -18,6 +18,8 @@ if [ -z "${CHECKPOINT:-}" ]; then
     [ -e "$CHECKPOINT/config.json" ] || target/release/examples/made_up full "$CHECKPOINT"
 fi
 export RAYON_NUM_THREADS=$THREADS OMP_NUM_THREADS=$THREADS
+# As the program sets it for itself: OpenMP's threads would spin where rayon's want to work.
+export OMP_WAIT_POLICY=passive
 ours=("burn fp32" "onednn fp32" "onednn fp32-winograd" "onednn bf16")
 reference=(fp32 fp32-last bf16 bf16-last)
 for turn in 1 2; do

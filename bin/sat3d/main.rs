@@ -73,7 +73,24 @@ pub(crate) fn dispatch(command: &Command) -> anyhow::Result<ExitCode> {
     }
 }
 
+/// oneDNN's threads are OpenMP's, which spin for a while after each of its operations, where ours want to work: the
+/// encoder took a quarter longer. Nothing but this variable tells them to sleep.
+#[cfg(feature = "onednn")]
+#[allow(
+    unsafe_code,
+    reason = "OpenMP reads the environment when oneDNN is loaded, and has no other way"
+)]
+fn let_openmp_sleep() {
+    const POLICY: &str = "OMP_WAIT_POLICY";
+    if std::env::var_os(POLICY).is_none() {
+        // SAFETY: called first of all in `main`, when there is no other thread.
+        unsafe { std::env::set_var(POLICY, "passive") };
+    }
+}
+
 fn main() -> std::process::ExitCode {
+    #[cfg(feature = "onednn")]
+    let_openmp_sleep();
     console::install_panic_hook();
     let cli = Cli::parse();
     if let Err(error) = cli.console.install() {

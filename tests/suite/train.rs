@@ -30,7 +30,7 @@ fn child() {
 
 fn spawn(out: &Path) -> Child {
     Command::new(std::env::current_exe().unwrap())
-        .args(["--exact", "child", "--quiet"])
+        .args(["--exact", "train::child", "--quiet"])
         .env(CHILD, out)
         .stdout(Stdio::null())
         .spawn()

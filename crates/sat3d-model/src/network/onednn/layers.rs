@@ -5,7 +5,6 @@ use super::passes::{Change, GroupNorm, Target, interleave, prepared};
 use crate::config::Border;
 use crate::error::ModelError;
 use crate::network::loader::Place;
-use rayon::prelude::*;
 use sat3d_onednn::{
     After, Algorithm, Convolution, ConvolutionSpec, Element, Error, Layout, Library, Memory, Order,
     Product, Session, View,
@@ -368,10 +367,7 @@ impl Dense {
         };
         let weights = match &self.weights {
             Held::Packed(memory) => memory.view(),
-            _ => {
-                warm(plain);
-                View::of(product.turned, plain).map_err(&failed)?
-            }
+            _ => View::of(product.turned, plain).map_err(&failed)?,
         };
         let session = &mut context.session;
         product.product.run(session, rows, weights, &self.bias, &mut result).map_err(&failed)?;
@@ -381,12 +377,4 @@ impl Dense {
         }
         Ok(result)
     }
-}
-
-/// Reads weights from first to last, on all cores, before a product reads them column by column: from memory to cache the
-/// one way is several times as fast as the other.
-fn warm(values: &[f32]) {
-    const LINE: usize = 16;
-    let read = |part: &[f32]| part.iter().step_by(LINE).fold(0.0_f32, |sum, value| sum + value);
-    std::hint::black_box(values.par_chunks(1 << 16).map(read).sum::<f32>());
 }
