@@ -186,7 +186,7 @@ impl Tiff {
 
     /// Writes the file.
     pub fn write(&self, path: &Path) {
-        std::fs::write(path, self.bytes()).unwrap();
+        std::fs::write(path, self.bytes()).expect("a file is written");
     }
 }
 
