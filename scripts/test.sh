@@ -8,6 +8,8 @@ logs=target/test-logs
 mkdir -p "$logs"
 rm -f "$logs"/*.log
 export CARGO_TERM_COLOR=never
+# Everything is compiled once. What an interrupted incremental build leaves behind can fail to link.
+export CARGO_INCREMENTAL=0
 results=() failed=0
 
 # Tests that compare with numpy take the Python that has it.
