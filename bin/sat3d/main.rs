@@ -74,7 +74,7 @@ pub(crate) fn dispatch(command: &Command) -> anyhow::Result<ExitCode> {
 }
 
 /// oneDNN's threads are OpenMP's, which spin for a while after each of its operations, where ours want to work: the
-/// encoder took a quarter longer. Nothing but this variable tells them to sleep.
+/// encoder took a third longer. Nothing but this variable tells them to sleep.
 #[cfg(feature = "onednn")]
 #[allow(
     unsafe_code,

@@ -197,7 +197,7 @@ fn find_in(
         (None, None) => None,
     };
     if let Some((by, place, origin)) = given {
-        if let Some(model) = place.to_str().and_then(BuiltIn::named) {
+        if let Some(model) = BuiltIn::at(place) {
             return Ok(Weights::built_in(model));
         }
         return match below(place) {

@@ -4,7 +4,6 @@
 use crate::common;
 
 use common::{npz, run, sat3d, stderr, stdout, tiny_weights};
-use sat3d::model::network::{Engine, Execution, Precision};
 use serde_json::Value;
 use std::collections::HashMap;
 use std::fs;
@@ -346,8 +345,10 @@ fn mistakes_are_said_before_any_work() {
     assert!(text.contains("another plan") && text.contains("Sat3DMini"), "{text}");
 }
 
+#[cfg(feature = "onednn")]
 #[test]
 fn the_network_is_calculated_as_asked_or_as_well_as_the_machine_can() {
+    use sat3d::model::network::{Engine, Execution, Precision};
     let place = Place::new();
     let form = |extra: &[&str], set: &[(&str, &str)]| {
         let mut arguments = vec!["--explain", "--json"];

@@ -348,9 +348,4 @@ impl Arena {
     pub fn put(&mut self, memory: Memory) {
         self.free.push(memory.buffer);
     }
-
-    /// Lets all that is free go.
-    pub fn clear(&mut self) {
-        self.free.clear();
-    }
 }

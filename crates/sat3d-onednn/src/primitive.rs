@@ -46,11 +46,6 @@ impl Session {
     pub fn library(&self) -> &'static Library {
         self.library
     }
-
-    /// Lets the memory for calculations go.
-    pub fn clear(&mut self) {
-        self.scratch = Buffer::default();
-    }
 }
 
 impl Drop for Session {

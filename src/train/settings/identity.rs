@@ -29,7 +29,7 @@ impl Settings {
         }
         let config = self.model.config.as_deref().map(hash).transpose()?;
         let start = match &self.model.start {
-            Some(place) => Some(match place.to_str().and_then(BuiltIn::named) {
+            Some(place) => Some(match BuiltIn::at(place) {
                 Some(model) => hex(&Sha256::digest(model.weights)),
                 None if place.join(STATE).is_file() => hash(&place.join(STATE))?,
                 None => hash(&locate(place)?.join(WEIGHTS_FILE))?,

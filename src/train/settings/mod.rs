@@ -162,7 +162,7 @@ impl Settings {
         path.clone_into(&mut settings.path);
         let base = path.parent().unwrap_or(Path::new(""));
         for own in settings.paths() {
-            if !is_built_in(own) {
+            if BuiltIn::at(own).is_none() {
                 // `join` leaves an absolute path as it is.
                 *own = base.join(&*own);
             }
@@ -233,7 +233,7 @@ impl Settings {
             [("model.config", &self.model.config), ("model.start", &self.model.start)]
         {
             if let Some(file) = file
-                && !is_built_in(file)
+                && BuiltIn::at(file).is_none()
                 && !file.exists()
             {
                 return Err(self.wrong(key, file, "does not exist"));
@@ -242,7 +242,7 @@ impl Settings {
         let model = &self.model;
         let paper = self.objective.kind == ObjectiveKind::Paper;
         let trained = |start: &PathBuf| {
-            is_built_in(start) || start.join(STATE).is_file() || locate(start).is_ok()
+            BuiltIn::at(start).is_some() || start.join(STATE).is_file() || locate(start).is_ok()
         };
         // A setting that would change nothing is a mistake.
         let idle = match model.kind {
@@ -279,11 +279,6 @@ impl Settings {
         self.objective.check(self)?;
         self.data.check(self)
     }
-}
-
-/// Whether a place is a model inside the program.
-fn is_built_in(place: &Path) -> bool {
-    place.to_str().and_then(BuiltIn::named).is_some()
 }
 
 /// Sets the value of a dotted key. A value that is no TOML is a text: `run.device=cuda` needs no quotes.

@@ -90,7 +90,8 @@ impl Default for Wanted {
 }
 
 impl Wanted {
-    /// What a DSM may lose where nothing else is said: a hundredth of what the published scoring resolves.
+    /// What a DSM may lose where nothing else is said: a fiftieth of the 2.5 m within which the published scoring
+    /// counts a height as right.
     pub const TOLERANCE_M: f64 = 0.05;
 
     /// The fastest that serves what is asked for on this machine, for this network.

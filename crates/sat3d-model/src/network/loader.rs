@@ -40,20 +40,6 @@ impl<'a> Place<'a> {
 
 #[cfg(feature = "onednn")]
 impl<'a> Place<'a> {
-    /// A place without values.
-    pub(crate) fn nowhere() -> Place<'static> {
-        struct Nothing;
-        impl TensorSource for Nothing {
-            fn read(&self, key: &str, _shape: &[usize]) -> Result<Vec<f32>, ModelError> {
-                let mismatch =
-                    crate::error::Mismatch { missing: vec![key.into()], ..Default::default() };
-                let path = "(nowhere)".into();
-                Err(ModelError::Tensors { path, mismatch: Box::new(mismatch) })
-            }
-        }
-        Place::new(&Nothing)
-    }
-
     /// Values where they lie in memory; see [`TensorSource::mapped`].
     pub(crate) fn mapped<const D: usize>(
         &self,

@@ -1,5 +1,7 @@
 //! Models that are part of the program, so that it works where nothing was downloaded.
 
+use std::path::Path;
+
 /// A model inside the program.
 #[derive(Clone, Copy, Debug)]
 pub struct BuiltIn {
@@ -25,6 +27,12 @@ impl BuiltIn {
     pub fn named(place: &str) -> Option<&'static Self> {
         let name = place.strip_prefix(PREFIX)?;
         ALL.into_iter().find(|model| model.name == name)
+    }
+
+    /// The same, where a folder could stand.
+    #[must_use]
+    pub fn at(place: &Path) -> Option<&'static Self> {
+        place.to_str().and_then(Self::named)
     }
 }
 

@@ -119,7 +119,7 @@ impl Checkpoint {
     /// # Errors
     /// As [`Checkpoint::open`].
     pub fn at(place: &Path) -> Result<Self, ModelError> {
-        match place.to_str().and_then(BuiltIn::named) {
+        match BuiltIn::at(place) {
             Some(model) => Self::built_in(model),
             None => Self::open(place),
         }

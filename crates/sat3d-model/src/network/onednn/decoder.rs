@@ -268,13 +268,12 @@ impl SpatialAttention {
     fn forward(&self, context: &mut Context, map: &mut Map) -> Result<(), ModelError> {
         let norm = constants(map, &self.norm);
         let rows = self.normed_rows(context, map, &Change::Norm(&norm))?;
-        let nowhere = &Place::nowhere();
-        let qkv = self.qkv.forward(context, &self.qkv_product, nowhere, rows.view())?;
+        let qkv = self.qkv.forward(context, &self.qkv_product, None, rows.view())?;
         context.put(rows);
         let width = map.shape.channels;
         let parts = [0, width, 2 * width].map(|first| (qkv.floats(), first));
         let mixed = self.heads.forward(context, parts)?;
-        let added = self.proj_out.forward(context, &self.proj_product, nowhere, mixed.view())?;
+        let added = self.proj_out.forward(context, &self.proj_product, None, mixed.view())?;
         for memory in [qkv, mixed] {
             context.put(memory);
         }

@@ -168,7 +168,7 @@ impl Encoder {
             }
         }
         let view = self.patches_product.rows(&rows)?;
-        let patches = self.patches.forward(context, &self.patches_product, root, view)?;
+        let patches = self.patches.forward(context, &self.patches_product, Some(root), view)?;
         let tokens = [&self.cls_token, &self.register_tokens, patches.floats()].concat();
         context.put(patches);
         Ok(tokens)
@@ -184,7 +184,8 @@ impl Encoder {
         let epsilon = self.config.layer_norm_epsilon;
         let rows = self.normed(context, tokens, &layer.norm1, epsilon);
         let [q, k, v] = &layer.parts;
-        let mut part = |dense: &Dense| dense.forward(context, &self.square, root, rows.view());
+        let mut part =
+            |dense: &Dense| dense.forward(context, &self.square, Some(root), rows.view());
         let (mut query, mut key, value) = (part(q)?, part(k)?, part(v)?);
         context.put(rows);
         let head = self.config.head();
@@ -194,14 +195,14 @@ impl Encoder {
         let parts = [&query, &key, &value].map(|memory| (memory.floats(), 0));
         let mixed = self.heads.forward(context, parts)?;
         let rows = self.rows(context, mixed.floats());
-        let output = layer.output.forward(context, &self.square, root, rows.view())?;
+        let output = layer.output.forward(context, &self.square, Some(root), rows.view())?;
         add(tokens, output.floats(), &layer.scale1);
         for memory in [query, key, value, mixed, rows, output] {
             context.put(memory);
         }
         let rows = self.normed(context, tokens, &layer.norm2, epsilon);
-        let wide = layer.up.forward(context, &self.up, root, rows.view())?;
-        let output = layer.down.forward(context, &self.down, root, wide.view())?;
+        let wide = layer.up.forward(context, &self.up, Some(root), rows.view())?;
+        let output = layer.down.forward(context, &self.down, Some(root), wide.view())?;
         add(tokens, output.floats(), &layer.scale2);
         for memory in [rows, wide, output] {
             context.put(memory);

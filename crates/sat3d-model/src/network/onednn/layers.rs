@@ -349,11 +349,12 @@ impl Dense {
         Self { weights: Held::Plain(weights), bias }
     }
 
+    /// `root` is where the keys of mapped weights begin.
     pub(super) fn forward(
         &self,
         context: &mut Context,
         product: &DenseProduct,
-        root: &Place<'_>,
+        root: Option<&Place<'_>>,
         rows: View<'_>,
     ) -> Result<Memory, ModelError> {
         let mut result = context.take(product.result);
@@ -362,7 +363,8 @@ impl Dense {
             Held::Packed(_) => &[],
             Held::Plain(values) => values.as_slice(),
             Held::Mapped(key) => {
-                root.mapped(key, [product.outputs, product.inputs]).unwrap_or_default()
+                let shape = [product.outputs, product.inputs];
+                root.and_then(|root| root.mapped(key, shape)).unwrap_or_default()
             }
         };
         let weights = match &self.weights {
@@ -371,7 +373,7 @@ impl Dense {
         };
         let session = &mut context.session;
         product.product.run(session, rows, weights, &self.bias, &mut result).map_err(&failed)?;
-        if let Held::Mapped(key) = &self.weights {
+        if let (Held::Mapped(key), Some(root)) = (&self.weights, root) {
             // All layers together are 1.2 GB, each of which is read once per image.
             root.release(key);
         }
