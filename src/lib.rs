@@ -24,6 +24,7 @@ pub mod score;
 pub mod stac;
 pub mod table;
 pub mod tile;
+pub mod tradeoff;
 #[cfg(feature = "train")]
 pub mod train;
 pub mod units;

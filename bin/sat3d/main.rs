@@ -12,6 +12,7 @@ mod model;
 mod run;
 mod simulate;
 mod tile;
+mod tradeoff;
 mod train;
 mod view;
 mod view_args;
@@ -44,6 +45,7 @@ pub(crate) enum Command {
     Model(model::Args),
     Infer(Box<infer::Args>),
     Tile(Box<tile::Args>),
+    Tradeoff(tradeoff::Args),
     Train(train::Args),
     Run(run::Args),
     Simulate(simulate::Args),
@@ -64,6 +66,7 @@ pub(crate) fn dispatch(command: &Command) -> anyhow::Result<ExitCode> {
         Command::Model(args) => model::run(args),
         Command::Infer(args) => infer::run(args),
         Command::Tile(args) => tile::run(args),
+        Command::Tradeoff(args) => tradeoff::run(args),
         Command::Train(args) => train::run(args),
         Command::Run(args) => run::run(args),
         Command::Simulate(args) => simulate::run(args),
