@@ -129,11 +129,11 @@ pub(super) fn quantise(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
     let images = delivery.names()?.len() as f64;
     let exact = delivery.build("exact", setup.threads, |_| {})?;
     let truth = delivery.heights(&exact.out)?;
-    let steps = [None, Some(0.001), Some(0.01), Some(0.05), Some(0.1)];
-    let ways = steps
-        .into_iter()
+    let steps = [None, Some(0.01), Some(0.1), Some(0.001), Some(0.05)];
+    let ways = steps[..setup.either(3, 5)]
+        .iter()
         .enumerate()
-        .map(|(k, step)| {
+        .map(|(k, &step)| {
             let delivery = &delivery;
             let name = step.map_or_else(|| "none".to_owned(), |step: f64| format!("{step} m"));
             Way::new(name, step.is_none(), move || {

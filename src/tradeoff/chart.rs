@@ -47,10 +47,14 @@ impl Scale {
         self.from + share.clamp(0.0, 1.0) * (self.to - self.from)
     }
 
-    /// Powers of ten; where the scale has few of them, twice and five times those too.
+    /// Powers of ten; the shorter the scale, the more values between them.
     fn ticks(&self) -> Vec<f64> {
         let decades = (self.low.floor() as i32)..=(self.high.ceil() as i32);
-        let parts: &[f64] = if self.high - self.low > 2.5 { &[1.0] } else { &[1.0, 2.0, 5.0] };
+        let parts: &[f64] = match self.high - self.low {
+            span if span > 2.5 => &[1.0],
+            span if span > 0.8 => &[1.0, 2.0, 5.0],
+            _ => &[1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0],
+        };
         let step = (((self.high - self.low) / 6.0).ceil() as i32).max(1);
         decades
             .filter(|decade| decade % step == 0)

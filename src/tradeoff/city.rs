@@ -92,6 +92,7 @@ impl City {
         let mut options = TileOptions::new(picture, setup.weights.clone(), out.clone());
         let dsm = DsmRequest { file: DSM.into(), preview: false, t_srs: None };
         options.outputs.dsm = Some(dsm);
+        options.window_gsd_m = Some(PIXEL_M);
         options.windows = windows;
         options.lattice = lattice;
         options.threads = setup.threads;

@@ -37,11 +37,17 @@ impl Machine {
             processors: std::thread::available_parallelism().map_or(1, usize::from),
             threads,
             system: format!("{} {}", std::env::consts::OS, std::env::consts::ARCH),
-            vectors: format!("{:?}", pulp::Arch::new()),
+            vectors: vectors(),
             features: features.into_iter().filter(|(_, on)| *on).map(|(name, _)| name).collect(),
             debug: cfg!(debug_assertions),
         }
     }
+}
+
+/// The set of vector instructions that was found, as `pulp` names it: `V3` is AVX2, `V4` AVX-512.
+fn vectors() -> String {
+    let found = format!("{:?}", pulp::Arch::new());
+    found.split('(').next().unwrap_or_default().trim().to_owned()
 }
 
 /// The processor's name as Linux gives it.

@@ -1,6 +1,7 @@
 //! Inference: engine and precision of the large network.
 
 use super::clock::{Judged, Subject, Way};
+use super::rays::downtown;
 use super::report::{Quantity, Skipped};
 use super::truth::{quantile, rms};
 use super::{Setup, Switch, TradeoffError};
@@ -10,8 +11,7 @@ use crate::model::network::{Engine, Execution, Precision};
 use crate::model::render::{RenderOptions, dsm};
 use crate::model::weights::point_head;
 use crate::model::weights::rule::{RuleWeights, full_overrides};
-use crate::model::{Config, Device, Grid, Image8, preprocess};
-use crate::scene::random::RandomScenes;
+use crate::model::{Config, Device, Grid, preprocess};
 
 pub(super) const CAUSE: &str = "products and sums are rounded";
 
@@ -19,8 +19,7 @@ pub(super) const CAUSE: &str = "products and sums are rounded";
 pub(super) fn precision(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
     let config = Config::released();
     let side = config.image_side();
-    let sample = RandomScenes { seed: 23 }.sample(0, side, TRAINING_WIDTH_M)?;
-    let image = preprocess::satellite(&Image8::new(side, side, 3, sample.rgb)?, side)?;
+    let image = preprocess::satellite(&downtown(side)?, side)?;
     let head = point_head(&config, &RuleWeights::new(&config, full_overrides()))?;
     let heights = |map: &Grid| -> Result<Vec<f32>, TradeoffError> {
         let inputs = FieldInputs {

@@ -11,11 +11,11 @@ const STYLE: &str = "\
 --chosen:#c2500a}
 @media(prefers-color-scheme:dark){:root{--bg:#101418;--text:#e7eaee;--muted:#a0aab5;--rule:#323a44;--front:#74b9f5;\
 --soft:#181d23;--chosen:#f0924e}}
-body{margin:0 auto;padding:1.5rem clamp(1rem,3vw,2.5rem) 4rem;max-width:76rem;background:var(--bg);color:var(--text);\
+body{margin:0 auto;padding:1.5rem clamp(1rem,3vw,2.5rem) 4rem;max-width:88rem;background:var(--bg);color:var(--text);\
 font:15px/1.5 system-ui,sans-serif;font-variant-numeric:tabular-nums}
 h1{margin:0;font-size:1.6rem}h2{margin:2.4rem 0 .4rem;border-top:1px solid var(--rule);padding-top:1.2rem}
 h3{margin:1.6rem 0 .1rem}p{margin:.15rem 0;max-width:80ch}.muted{color:var(--muted);font-size:.88rem}
-.pair{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,26rem),1fr));gap:1rem;align-items:start}
+.pair{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,30rem),1fr));gap:.6rem 1.4rem;align-items:start}
 .scroll{overflow-x:auto}table{border-collapse:collapse;font-size:.86rem}
 th,td{padding:.22rem .5rem;text-align:right;white-space:nowrap;border-bottom:1px solid var(--rule)}
 th:first-child,td:first-child{text-align:left}thead th{color:var(--muted);font-weight:600;vertical-align:bottom}

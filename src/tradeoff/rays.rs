@@ -6,12 +6,12 @@ use super::truth::{quantile, rms};
 use super::{Setup, Switch, TradeoffError};
 use crate::footprint::TRAINING_WIDTH_M;
 use crate::model::field::Field;
-use crate::model::field::closed_form::BoxCity;
+use crate::model::field::closed_form::{BoxCity, Building};
 use crate::model::render::{
     DepthKind, RenderOptions, SampleCountError, SampleCounts, Sampling, dsm, exact_scale,
 };
 use crate::model::{Device, Image8, Model};
-use crate::scene::random::RandomScenes;
+use crate::scene::random::{Kind, RandomScenes};
 use rayon::prelude::*;
 
 pub(super) const SAMPLES: &str = "density varies along a ray";
@@ -32,14 +32,35 @@ pub(super) fn trained(setup: &Setup<'_>) -> Result<Field, TradeoffError> {
         &crate::weights::find(setup.weights.as_deref())?.open()?,
         &Device::Cpu.into(),
     )?;
-    let side = model.config.image_side();
-    let sample = RandomScenes { seed: 23 }.sample(0, side, TRAINING_WIDTH_M)?;
-    let image = Image8::new(side, side, 3, sample.rgb)?;
+    let image = downtown(model.config.image_side())?;
     Ok(Field::new(&model.field_inputs(&image)?, &model.head, None)?)
 }
 
+/// A simulated image with tall buildings: the first of its kind.
+pub(super) fn downtown(side: usize) -> Result<Image8, TradeoffError> {
+    let scenes = RandomScenes { seed: 23 };
+    let index = (0..1000).find(|index| scenes.kind(*index) == Kind::Downtown).unwrap_or(0);
+    let sample = scenes.sample(index, side, TRAINING_WIDTH_M)?;
+    Ok(Image8::new(side, side, 3, sample.rgb)?)
+}
+
+/// Buildings whose walls keep to no raster: they cut through pixels of every size.
+fn crooked() -> BoxCity {
+    let building = |x, y, roof| Building { x, y, roof };
+    BoxCity {
+        buildings: vec![
+            building([0.337, 0.611], [-0.617, -0.343], 0.3),
+            building([-0.213, 0.459], [0.387, 0.653], -0.35),
+            building([-0.661, -0.391], [-0.311, 0.103], -0.55),
+            building([-0.109, 0.071], [-0.547, -0.229], -0.1),
+            building([-0.577, -0.463], [0.311, 0.719], -0.42),
+        ],
+        ..BoxCity::example()
+    }
+}
+
 fn boxes() -> Result<(BoxCity, Field), TradeoffError> {
-    let city = BoxCity::example();
+    let city = crooked();
     let (inputs, head) = city.inputs();
     let field = Field::new(&inputs, &head, None)?;
     Ok((city, field))
@@ -146,7 +167,7 @@ pub(super) fn samples_of_boxes(setup: &Setup<'_>) -> Result<Switch, TradeoffErro
 fn samples(setup: &Setup<'_>, field: &Field) -> Result<Switch, TradeoffError> {
     let size = setup.either(64, 256);
     let truth = slow_heights(field, size);
-    let ways = ways(field, size, &EVEN)?;
+    let ways = ways(field, size, if setup.quick { &EVEN[..6] } else { &EVEN })?;
     setup.clock.measure(subject(size, 1.0), ways, |heights| Ok(judged(heights, &truth)))
 }
 
@@ -173,9 +194,10 @@ pub(super) fn size(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
         })
         .collect();
     let field = &field;
-    let ways = [64, 128, 256, 512]
-        .into_iter()
-        .map(|size| {
+    let sizes: &[usize] = if setup.quick { &[64, 128, 256] } else { &[64, 128, 256, 512] };
+    let ways = sizes
+        .iter()
+        .map(|&size| {
             Way::new(format!("{size} px"), size == 256, move || {
                 Ok((size, metres(field, size, &RenderOptions::default())))
             })

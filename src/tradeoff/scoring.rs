@@ -4,7 +4,7 @@ use super::clock::{Judged, Subject, Way};
 use super::report::Quantity;
 use super::truth::{Place, SIDE, ZOOM, heights, quantile, rms};
 use super::{Setup, Switch, TradeoffError};
-use crate::eval::align::{AlignSettings, Aligner};
+use crate::eval::align::{AlignSettings, Aligner, Shift};
 use crate::eval::metrics::{
     BootstrapSettings, ErrorSums, ImageSample, PUBLISHED_THRESHOLDS_M, Quantiles, Sketch,
     intervals, lone_block,
@@ -95,15 +95,15 @@ pub(super) fn protocol(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
             let settings = align_settings(protocol, method);
             let mut aligner = Aligner::new();
             Way::new(protocol.name(), protocol == Protocol::default(), move || {
-                let mut errors = Vec::with_capacity(pairs.len());
+                let mut found = Vec::with_capacity(pairs.len());
                 for Pair { truth, prediction } in pairs {
                     let (alignment, aligned) =
                         aligner.align_and_apply(prediction, truth, &settings)?;
                     let zero = alignment.vertical_offset_m as f32;
                     let moved: Vec<f32> = aligned.values.iter().map(|t| t - zero).collect();
-                    errors.push(rms(&prediction.values, &moved));
+                    found.push((rms(&prediction.values, &moved), alignment.shift_px));
                 }
-                Ok(errors)
+                Ok(found)
             })
         })
         .collect();
@@ -114,9 +114,12 @@ pub(super) fn protocol(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
         work: "aligning one pair of 256 x 256 px".into(),
         units: pairs.len() as f64,
     };
-    setup.clock.measure(subject, ways, |errors: &Vec<f64>| {
-        let apart = errors.iter().map(|error| (error - NOISE_M).abs());
-        Ok(Judged::new(apart.sum::<f64>() / errors.len() as f64))
+    setup.clock.measure(subject, ways, |found: &Vec<(f64, Shift)>| {
+        let mean = |errors: &mut dyn Iterator<Item = f64>| errors.sum::<f64>() / found.len() as f64;
+        let rmse = mean(&mut found.iter().map(|(rmse, _)| (rmse - NOISE_M).abs()));
+        let away = |shift: &Shift| libm::hypot(shift.x - SHIFT[0], shift.y - SHIFT[1]);
+        let shift = mean(&mut found.iter().map(|(_, shift)| away(shift)));
+        Ok(Judged::new(rmse).also("error of the shift", "px", shift))
     })
 }
 
@@ -225,6 +228,8 @@ fn scored_images(count: u64) -> (Vec<ImageSample>, Quantiles) {
     (images, Quantiles::of(&all, &mut Vec::new()))
 }
 
+/// Images of the bootstrap.
+const SCORED: u64 = 60;
 /// The score whose interval is looked at.
 const SCORE: &str = "per_image_mean.rmse_m";
 
@@ -238,16 +243,13 @@ fn half_width(images: &[ImageSample], exact: &Quantiles, replicates: u32, seed: 
 
 /// How many replicates give an interval.
 pub(super) fn bootstrap(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
-    let (images, exact) = scored_images(200);
+    let (images, exact) = scored_images(SCORED);
     let (images, exact) = (&images, &exact);
     let truth = half_width(images, exact, setup.either(20_000, 200_000), 99);
-    let seeds = setup.either(3, 15);
+    let seeds = setup.either(8, 30);
     let default = crate::eval::EvalOptions::new(Vec::new(), "".into()).replicates;
-    let counts: &[u32] = if setup.quick {
-        &[100, 500, 2000, 5000]
-    } else {
-        &[100, 250, 500, 1000, 2000, 5000, 10_000]
-    };
+    let counts: &[u32] =
+        if setup.quick { &[100, 500, 2000] } else { &[100, 250, 500, 1000, 2000, 5000, 10_000] };
     let ways = counts
         .iter()
         .map(|&replicates| {
@@ -257,9 +259,9 @@ pub(super) fn bootstrap(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
         })
         .collect();
     let subject = Subject {
-        truth: "the half width of the interval of the mean RMSE of 200 images by very many replicates",
+        truth: "the half width of the interval of the mean RMSE of 60 images by very many replicates",
         error: Quantity::new("mean error of the half width", "%"),
-        work: "all intervals of one evaluation of 200 images".into(),
+        work: "all intervals of one evaluation of 60 images".into(),
         units: 1.0,
     };
     setup.clock.measure(subject, ways, |&(replicates, first): &(u32, f64)| {

@@ -44,6 +44,13 @@ fn warped(
     Ok((map, heights))
 }
 
+/// An image in one form; the reference grid has none.
+struct Transformed {
+    form: Option<TransformForm>,
+    map: PixelMap,
+    heights: Vec<f32>,
+}
+
 /// How pixels are taken to the tiles' CRS.
 pub(super) fn transform(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
     let place = Place::new()?;
@@ -57,21 +64,21 @@ pub(super) fn transform(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
         ("affine", TransformForm::Affine),
     ];
     let place = &place;
-    let mut ways: Vec<Way<'_, (Option<TransformForm>, PixelMap, Vec<f32>)>> = forms
+    let mut ways: Vec<Way<'_, Transformed>> = forms
         .into_iter()
         .map(|(name, form)| {
             // What the default, `auto`, takes at the default tolerance of 1e-6 m.
             Way::new(name, form == TransformForm::Chebyshev, move || {
                 let pixels = exact(place, grid);
                 let (map, heights) = warped(place, pixels, form, Resampling::Bilinear)?;
-                Ok((Some(form), map, heights))
+                Ok(Transformed { form: Some(form), map, heights })
             })
         })
         .collect();
     ways.push(Way::new("reference grid", false, move || {
         let pixels = PixelToCrs::reference_box(&grid, &*place.projection)?;
         let (map, heights) = warped(place, pixels, TransformForm::Affine, Resampling::Bilinear)?;
-        Ok((None, map, heights))
+        Ok(Transformed { form: None, map, heights })
     }));
     let subject = Subject {
         truth: "one projection per pixel",
@@ -79,7 +86,7 @@ pub(super) fn transform(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
         work: "fit and bilinear warp of one image of 640 x 640 px".into(),
         units: 1.0,
     };
-    setup.clock.measure(subject, ways, |(form, map, heights)| {
+    setup.clock.measure(subject, ways, |Transformed { form, map, heights }| {
         let mut most: f64 = 0.0;
         for k in 0..SIDE * SIDE {
             let p = PixelPoint { x: f64::from(k % SIDE) + 0.5, y: f64::from(k / SIDE) + 0.5 };

@@ -38,6 +38,7 @@ mod table_python;
 mod tile;
 mod tile_dsm;
 mod tile_oracles;
+mod tradeoff;
 mod train;
 #[cfg(feature = "train")]
 mod train_support;
