@@ -88,8 +88,11 @@ fn an_evaluation_is_measured_against_what_was_put_into_its_pairs() {
     let report = quick("eval", place.path());
     let protocol = settings(&report, "protocol");
     let shift = |name: &str| protocol[name]["also"][0]["value"].as_f64().unwrap();
-    assert!(shift("coregister") < 0.1, "a shift of (3.4, -2.2) px is found: {protocol:?}");
-    assert!((shift("plain") - 3.4_f64.hypot(2.2)).abs() < 1e-9, "what was put in");
+    // One of the three pairs shows little but level ground.
+    assert!(shift("coregister") < 0.5, "a shift of (3.4, -2.2) px is found: {protocol:?}");
+    assert!(shift("coregister") < shift("paper") && shift("paper") < shift("plain"));
+    let all = libm::hypot(3.4, 2.2);
+    assert!((shift("plain") - all).abs() < 1e-9, "what was put in");
     // Interpolation across walls leaves more than the noise.
     assert!(error(&protocol, "coregister") < 0.5 * error(&protocol, "vertical"));
     assert!(error(&protocol, "vertical") < error(&protocol, "plain"));
