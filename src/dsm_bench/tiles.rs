@@ -3,7 +3,7 @@
 use super::layers::{Layer, LayerSource};
 use super::{BenchError, BuildOptions, Coverage};
 use crate::crs::{CrsError, CrsSpec, ResolveOptions, ResolvedCrs, resolve};
-use crate::grid::{ImageGrid, PixelPoint};
+use crate::grid::{GeoTransform, ImageGrid, PixelPoint};
 use crate::lidar::{Lattice, LatticeWindow, TileFootprint, TileIndex, TileStore};
 use crate::raster::{OpenOptions, RasterHeader, list_tiles};
 use crate::units::LinearUnit;
@@ -254,11 +254,12 @@ fn proj_warnings(tiles: &[Tile], found: &[ResolvedCrs]) -> Vec<String> {
     warnings
 }
 
-/// The distinct CRSs met so far.
+/// The distinct CRSs met so far, and the lattices in each.
 #[derive(Default)]
 struct Found {
     specs: Vec<CrsSpec>,
     crs: Vec<ResolvedCrs>,
+    lattices: Vec<(usize, Lattice)>,
 }
 
 impl Found {
@@ -291,7 +292,7 @@ impl Found {
             }
         };
         let (lattice, col, row) =
-            Lattice::of(&header.geotransform, phase_bits).ok_or_else(|| {
+            self.on_lattice(crs, &header.geotransform, phase_bits).ok_or_else(|| {
                 BenchError::Input(format!("{}: the raster is rotated", header.path.display()))
             })?;
         Ok(Tile {
@@ -305,6 +306,27 @@ impl Found {
                 width: header.width as usize,
                 height: header.height as usize,
             },
+        })
+    }
+}
+
+impl Found {
+    /// The lattice of a tile, which is that of an earlier tile where both are parts of one raster, and
+    /// the tile's first cell; `None` for a grid that is not north-up.
+    fn on_lattice(
+        &mut self,
+        crs: usize,
+        grid: &GeoTransform,
+        phase_bits: u32,
+    ) -> Option<(Lattice, i64, i64)> {
+        let known =
+            self.lattices.iter().filter(|(of, _)| *of == crs).find_map(|(_, lattice)| {
+                lattice.cell_of(grid).map(|(col, row)| (*lattice, col, row))
+            });
+        known.or_else(|| {
+            let made = Lattice::of(grid, phase_bits)?;
+            self.lattices.push((crs, made.0));
+            Some(made)
         })
     }
 }
