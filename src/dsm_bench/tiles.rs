@@ -438,3 +438,47 @@ fn vertical_unit<'a>(
     }
     Ok(VerticalUnit { unit, evidence, assumed, warnings })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lidar::PHASE_BITS;
+    use crate::random::Draw;
+
+    #[test]
+    fn tiles_of_one_raster_are_on_one_lattice_though_their_phases_round_apart() {
+        let mut draw = Draw::new(&[2]);
+        let mut unlucky = 0;
+        for _ in 0..2000 {
+            let (west, north) = (draw.range(3e5, 7e5), draw.range(3e6, 6e6));
+            let whole = GeoTransform::north_up(west, north, draw.range(0.1, 0.6), 0.3);
+            let mut part = whole;
+            part.0[0] += 5000.0 * whole.0[1];
+            let mut found = Found::default();
+            let (lattice, col, row) =
+                found.on_lattice(0, &whole, PHASE_BITS).expect("a north-up grid");
+            let placed = found.on_lattice(0, &part, PHASE_BITS);
+            assert_eq!(placed, Some((lattice, col + 5000, row)));
+            let own = Lattice::of(&part, PHASE_BITS);
+            unlucky += u32::from(own != placed);
+            // In another CRS the same numbers are another place.
+            assert_eq!(found.on_lattice(1, &part, PHASE_BITS), own);
+            assert_eq!(found.lattices.len(), 2);
+        }
+        assert!(unlucky > 2, "{unlucky}");
+    }
+
+    #[test]
+    fn a_raster_off_the_lattice_has_its_own() {
+        let grid = GeoTransform::north_up(500_000.3, 5_000_000.7, 0.5, 0.5);
+        let mut moved = grid;
+        moved.0[3] += 0.2;
+        let mut found = Found::default();
+        let first = found.on_lattice(0, &grid, PHASE_BITS).expect("a north-up grid");
+        let second = found.on_lattice(0, &moved, PHASE_BITS).expect("a north-up grid");
+        assert_ne!(first.0, second.0);
+        assert_eq!(Some(second), Lattice::of(&moved, PHASE_BITS));
+        let rotated = GeoTransform([0.0, 1.0, 0.1, 0.0, 0.1, -1.0]);
+        assert!(found.on_lattice(0, &rotated, PHASE_BITS).is_none());
+    }
+}

@@ -30,17 +30,24 @@ fn transform(image: &mut Vec<Complex64>, side: usize, inverse: bool) {
     }
 }
 
-/// Phase correlation as the formula says it: the cross power spectrum over its magnitude, whatever
-/// that is. The row and the column of the largest correlation, and how large it is.
-fn naive_shift(reference: &[u8], moving: &[u8], side: usize) -> (usize, usize, f64) {
+/// Phase correlation as the formula says it: the cross power spectrum over its magnitude, if that is
+/// above a floor. The row and the column of the first largest correlation, and how large it is.
+fn naive_shift(reference: &[u8], moving: &[u8], side: usize, floor: f64) -> (usize, usize, f64) {
     let spectrum = |image: &[u8]| {
         let mut image: Vec<_> = image.iter().map(|v| Complex64::new(f64::from(*v), 0.0)).collect();
         transform(&mut image, side, false);
         image
     };
     let (a, b) = (spectrum(reference), spectrum(moving));
-    let mut power: Vec<Complex64> =
-        a.iter().zip(&b).map(|(a, b)| a * b.conj() / (a * b.conj()).norm_sqr().sqrt()).collect();
+    let mut power: Vec<Complex64> = a
+        .iter()
+        .zip(&b)
+        .map(|(a, b)| {
+            let product = a * b.conj();
+            let amplitude = product.norm_sqr().sqrt();
+            product / if amplitude < floor { floor } else { amplitude }
+        })
+        .collect();
     transform(&mut power, side, true);
     let mut best = (0, 0.0);
     for (i, value) in power.iter().enumerate() {
@@ -63,12 +70,21 @@ fn periodic(side: usize, period: usize, (x, y): (usize, usize)) -> Vec<u8> {
 #[test]
 fn phase_correlation_of_a_periodic_image_is_the_least_of_the_shifts_that_explain_it() {
     let mut phase = PhaseCorrelator::default();
+    let mut farthest = 0.0_f64;
     for (side, period) in [(256, 16), (240, 12), (640, 32), (640, 20), (250, 16), (257, 16)] {
         for (x, y) in [(0, 0), (3, 5), (period - 1, 1), (period / 2 + 1, period - 2)] {
             let (a, b) = (periodic(side, period, (0, 0)), periodic(side, period, (x, y)));
             // A whole number of periods has no wave at most frequencies: 0 / 0.
-            let (.., largest) = naive_shift(&a, &b, side);
+            let (.., largest) = naive_shift(&a, &b, side, 0.0);
             assert_eq!(largest == 0.0, side % period == 0, "{largest}");
+            // With the published floor, rounding chooses among shifts that are periods apart.
+            let (row, column, _) = naive_shift(&a, &b, side, 100.0 * f64::EPSILON);
+            for at in [row, column] {
+                let shift = if at > side / 2 { side - at } else { at };
+                if side % period == 0 {
+                    farthest = farthest.max(shift as f64 / period as f64);
+                }
+            }
             let found = phase.shift(&a, &b, side, side);
             for (found, by) in [(found.x, x), (found.y, y)] {
                 let beyond = found - by as f64;
@@ -80,6 +96,8 @@ fn phase_correlation_of_a_periodic_image_is_the_least_of_the_shifts_that_explain
             }
         }
     }
+    println!("periodic images: the published rule is up to {farthest:.1} periods off");
+    assert!(farthest > 0.6, "{farthest}");
 }
 
 #[test]
@@ -111,7 +129,7 @@ fn flat_and_empty_images_are_said_to_have_no_texture() {
     }
     // The formula divides 0 by 0 wherever a flat image has no wave, and its maximum is of NaN.
     let shades = vec![200_u8; side * side];
-    assert_eq!(naive_shift(&shades, &shades, side), (0, 0, 0.0));
+    assert_eq!(naive_shift(&shades, &shades, side, 0.0), (0, 0, 0.0));
     // The script's floor under the magnitude makes it 0 everywhere: its answer is the first corner of
     // its window, 0.7 pixels off; that is why flat images are not asked.
     let corner = PhaseCorrelator::default().shift(&[0; 4096], &[0; 4096], side, side);

@@ -66,10 +66,11 @@ fn naive_solve(normal: &[[f64; UNKNOWNS + 1]; UNKNOWNS], n: usize) -> Option<Vec
         if rows[i][i] == 0.0 {
             return None;
         }
-        for k in i + 1..n {
-            let factor = rows[k][i] / rows[i][i];
-            for j in i..=n {
-                rows[k][j] -= factor * rows[i][j];
+        let above = rows[i].clone();
+        for row in rows.iter_mut().skip(i + 1) {
+            let factor = row[i] / above[i];
+            for (value, above) in row.iter_mut().zip(&above) {
+                *value -= factor * above;
             }
         }
     }
@@ -90,10 +91,11 @@ fn exact_solve(normal: &[[f64; UNKNOWNS + 1]; UNKNOWNS], n: usize) -> Vec<Real> 
         })
         .collect();
     for i in 0..n {
-        for k in i + 1..n {
-            let factor = &rows[k][i] / &rows[i][i];
-            for j in i..=n {
-                rows[k][j] = &rows[k][j] - &factor * &rows[i][j];
+        let above = rows[i].clone();
+        for row in rows.iter_mut().skip(i + 1) {
+            let factor = &row[i] / &above[i];
+            for (value, above) in row.iter_mut().zip(&above) {
+                *value = &*value - &factor * above;
             }
         }
     }
