@@ -451,14 +451,14 @@ mod tests {
         let mut unlucky = 0;
         for _ in 0..2000 {
             let (west, north) = (draw.range(3e5, 7e5), draw.range(3e6, 6e6));
-            let whole = GeoTransform::north_up(west, north, draw.range(0.1, 0.6), 0.3);
+            let whole = GeoTransform::north_up(west, north, 0.3, draw.range(0.1, 0.6));
             let mut part = whole;
-            part.0[0] += 5000.0 * whole.0[1];
+            part.0[3] += 5000.0 * whole.0[5];
             let mut found = Found::default();
             let (lattice, col, row) =
                 found.on_lattice(0, &whole, PHASE_BITS).expect("a north-up grid");
             let placed = found.on_lattice(0, &part, PHASE_BITS);
-            assert_eq!(placed, Some((lattice, col + 5000, row)));
+            assert_eq!(placed, Some((lattice, col, row + 5000)));
             let own = Lattice::of(&part, PHASE_BITS);
             unlucky += u32::from(own != placed);
             // In another CRS the same numbers are another place.

@@ -71,7 +71,7 @@ fn periodic(side: usize, period: usize, (x, y): (usize, usize)) -> Vec<u8> {
 fn phase_correlation_of_a_periodic_image_is_the_least_of_the_shifts_that_explain_it() {
     let mut phase = PhaseCorrelator::default();
     let mut farthest = 0.0_f64;
-    for (side, period) in [(256, 16), (240, 12), (640, 32), (640, 20), (250, 16), (257, 16)] {
+    for (side, period) in [(256, 16), (240, 12), (320, 20), (250, 16)] {
         for (x, y) in [(0, 0), (3, 5), (period - 1, 1), (period / 2 + 1, period - 2)] {
             let (a, b) = (periodic(side, period, (0, 0)), periodic(side, period, (x, y)));
             // A whole number of periods has no wave at most frequencies: 0 / 0.
