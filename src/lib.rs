@@ -15,6 +15,8 @@ pub mod illumination;
 pub mod infer;
 pub mod lidar;
 pub mod mesh_file;
+#[cfg(test)]
+mod oracle;
 pub mod picture;
 pub mod plan;
 pub mod raster;

@@ -9,6 +9,8 @@ mod closed;
 mod conic;
 mod ellipsoid;
 mod geokeys;
+#[cfg(test)]
+mod hard_cases;
 mod helmert;
 mod identify;
 #[cfg(feature = "proj")]

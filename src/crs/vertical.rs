@@ -1,31 +1,40 @@
-//! Vertical CRSs: their codes, names and units.
+//! Vertical CRSs: their codes, names and units, from `vertical.tsv` (written by
+//! `fixtures/crs/make_table.py`).
 
 use super::VerticalCrs;
-use crate::units::LinearUnit::{self, Foot, Metre, UsSurveyFoot};
+use crate::units::LinearUnit;
+use std::sync::LazyLock;
 
-/// Vertical CRSs that lidar comes in (EPSG).
-const KNOWN: [(u32, &str, LinearUnit); 17] = [
-    (3855, "EGM2008 height", Metre),
-    (5701, "ODN height", Metre),
-    (5702, "NGVD29 height (ftUS)", UsSurveyFoot),
-    (5703, "NAVD88 height", Metre),
-    (5705, "Baltic 1977 height", Metre),
-    (5709, "NAP height", Metre),
-    (5711, "AHD height", Metre),
-    (5714, "MSL height", Metre),
-    (5773, "EGM96 height", Metre),
-    (5783, "DHHN92 height", Metre),
-    (6360, "NAVD88 height (ftUS)", UsSurveyFoot),
-    (6647, "CGVD2013(CGG2013) height", Metre),
-    (7837, "DHHN2016 height", Metre),
-    (7968, "NGVD29 height (m)", Metre),
-    (8050, "MSL height (ft)", Foot),
-    (8052, "MSL height (ftUS)", UsSurveyFoot),
-    (8228, "NAVD88 height (ft)", Foot),
-];
+/// One vertical CRS of the table.
+struct Known {
+    code: u32,
+    unit: LinearUnit,
+    /// EPSG code of its datum: one datum may be counted in several units.
+    datum: u32,
+    name: &'static str,
+}
 
-/// Codes of one datum in several units.
-const FAMILIES: [&[u32]; 3] = [&[5703, 6360, 8228], &[5702, 7968], &[5714, 8050, 8052]];
+impl Known {
+    fn parse(line: &'static str) -> Option<Self> {
+        let mut fields = line.split('\t');
+        let mut next = || fields.next();
+        Some(Self {
+            code: next()?.parse().ok()?,
+            unit: LinearUnit::from_name(next()?)?,
+            datum: next()?.parse().ok()?,
+            name: next()?,
+        })
+    }
+}
+
+const TABLE: &str = include_str!("vertical.tsv");
+
+fn rows() -> impl Iterator<Item = &'static str> {
+    TABLE.lines().filter(|line| !line.starts_with('#'))
+}
+
+/// Every vertical CRS of EPSG whose heights point up, in metres or either foot.
+static KNOWN: LazyLock<Vec<Known>> = LazyLock::new(|| rows().filter_map(Known::parse).collect());
 
 /// A vertical CRS from whatever a file says about it: the unit that it states wins over the code's,
 /// and the code is then that of the same datum in that unit, if there is one.
@@ -34,45 +43,42 @@ pub(super) fn describe(
     name: Option<&str>,
     unit: Option<LinearUnit>,
 ) -> VerticalCrs {
-    let by_code = |code: u32| KNOWN.iter().find(|(known, ..)| *known == code);
-    let by_name = || KNOWN.iter().find(|(_, known, _)| name.is_some_and(|name| name == *known));
     let known = match epsg {
-        Some(code) => by_code(code),
-        None => by_name(),
+        Some(code) => KNOWN.iter().find(|known| known.code == code),
+        None => KNOWN.iter().find(|known| name == Some(known.name)),
     };
-    let Some((code, known_name, known_unit)) = known else {
+    let Some(known) = known else {
         let name = name.map_or_else(
             || epsg.map_or_else(|| "unknown".to_owned(), |code| format!("EPSG:{code}")),
             str::to_owned,
         );
         return VerticalCrs { name, epsg, unit };
     };
-    let unit = unit.unwrap_or(*known_unit);
-    if unit == *known_unit {
-        return VerticalCrs { name: (*known_name).to_owned(), epsg: Some(*code), unit: Some(unit) };
-    }
-    let sibling = FAMILIES
-        .iter()
-        .find(|family| family.contains(code))
-        .and_then(|family| family.iter().filter_map(|code| by_code(*code)).find(|k| k.2 == unit));
-    match sibling {
-        Some((code, name, _)) => {
-            VerticalCrs { name: (*name).to_owned(), epsg: Some(*code), unit: Some(unit) }
-        }
-        None => {
-            VerticalCrs { name: format!("{known_name} in {unit}"), epsg: None, unit: Some(unit) }
-        }
-    }
+    let unit = unit.unwrap_or(known.unit);
+    let in_unit = |other: &&Known| other.datum == known.datum && other.unit == unit;
+    let sibling = if unit == known.unit { Some(known) } else { KNOWN.iter().find(in_unit) };
+    let (name, epsg) = sibling.map_or_else(
+        || (format!("{} in {unit}", known.name), None),
+        |known| (known.name.to_owned(), Some(known.code)),
+    );
+    VerticalCrs { name, epsg, unit: Some(unit) }
 }
 
 /// Whether a code is that of a vertical CRS which is known here.
 pub(super) fn is_known(code: u32) -> bool {
-    KNOWN.iter().any(|(known, ..)| *known == code)
+    KNOWN.iter().any(|known| known.code == code)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::units::LinearUnit::{Foot, Metre, UsSurveyFoot};
+
+    #[test]
+    fn every_line_of_the_table_is_understood() {
+        assert_eq!(KNOWN.len(), rows().count());
+        assert!(KNOWN.len() > 220);
+    }
 
     #[test]
     fn codes_bring_their_units() {

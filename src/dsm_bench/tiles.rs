@@ -3,7 +3,7 @@
 use super::layers::{Layer, LayerSource};
 use super::{BenchError, BuildOptions, Coverage};
 use crate::crs::{CrsError, CrsSpec, ResolveOptions, ResolvedCrs, resolve};
-use crate::grid::{ImageGrid, PixelPoint};
+use crate::grid::{GeoTransform, ImageGrid, PixelPoint};
 use crate::lidar::{Lattice, LatticeWindow, TileFootprint, TileIndex, TileStore};
 use crate::raster::{OpenOptions, RasterHeader, list_tiles};
 use crate::units::LinearUnit;
@@ -254,11 +254,12 @@ fn proj_warnings(tiles: &[Tile], found: &[ResolvedCrs]) -> Vec<String> {
     warnings
 }
 
-/// The distinct CRSs met so far.
+/// The distinct CRSs met so far, and the lattices in each.
 #[derive(Default)]
 struct Found {
     specs: Vec<CrsSpec>,
     crs: Vec<ResolvedCrs>,
+    lattices: Vec<(usize, Lattice)>,
 }
 
 impl Found {
@@ -291,7 +292,7 @@ impl Found {
             }
         };
         let (lattice, col, row) =
-            Lattice::of(&header.geotransform, phase_bits).ok_or_else(|| {
+            self.on_lattice(crs, &header.geotransform, phase_bits).ok_or_else(|| {
                 BenchError::Input(format!("{}: the raster is rotated", header.path.display()))
             })?;
         Ok(Tile {
@@ -305,6 +306,27 @@ impl Found {
                 width: header.width as usize,
                 height: header.height as usize,
             },
+        })
+    }
+}
+
+impl Found {
+    /// The lattice of a tile, which is that of an earlier tile where both are parts of one raster, and
+    /// the tile's first cell; `None` for a grid that is not north-up.
+    fn on_lattice(
+        &mut self,
+        crs: usize,
+        grid: &GeoTransform,
+        phase_bits: u32,
+    ) -> Option<(Lattice, i64, i64)> {
+        let known =
+            self.lattices.iter().filter(|(of, _)| *of == crs).find_map(|(_, lattice)| {
+                lattice.cell_of(grid).map(|(col, row)| (*lattice, col, row))
+            });
+        known.or_else(|| {
+            let made = Lattice::of(grid, phase_bits)?;
+            self.lattices.push((crs, made.0));
+            Some(made)
         })
     }
 }
@@ -415,4 +437,48 @@ fn vertical_unit<'a>(
         ));
     }
     Ok(VerticalUnit { unit, evidence, assumed, warnings })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lidar::PHASE_BITS;
+    use crate::random::Draw;
+
+    #[test]
+    fn tiles_of_one_raster_are_on_one_lattice_though_their_phases_round_apart() {
+        let mut draw = Draw::new(&[2]);
+        let mut unlucky = 0;
+        for _ in 0..2000 {
+            let (west, north) = (draw.range(3e5, 7e5), draw.range(3e6, 6e6));
+            let whole = GeoTransform::north_up(west, north, 0.3, draw.range(0.1, 0.6));
+            let mut part = whole;
+            part.0[3] += 5000.0 * whole.0[5];
+            let mut found = Found::default();
+            let (lattice, col, row) =
+                found.on_lattice(0, &whole, PHASE_BITS).expect("a north-up grid");
+            let placed = found.on_lattice(0, &part, PHASE_BITS);
+            assert_eq!(placed, Some((lattice, col, row + 5000)));
+            let own = Lattice::of(&part, PHASE_BITS);
+            unlucky += u32::from(own != placed);
+            // In another CRS the same numbers are another place.
+            assert_eq!(found.on_lattice(1, &part, PHASE_BITS), own);
+            assert_eq!(found.lattices.len(), 2);
+        }
+        assert!(unlucky > 2, "{unlucky}");
+    }
+
+    #[test]
+    fn a_raster_off_the_lattice_has_its_own() {
+        let grid = GeoTransform::north_up(500_000.3, 5_000_000.7, 0.5, 0.5);
+        let mut moved = grid;
+        moved.0[3] += 0.2;
+        let mut found = Found::default();
+        let first = found.on_lattice(0, &grid, PHASE_BITS).expect("a north-up grid");
+        let second = found.on_lattice(0, &moved, PHASE_BITS).expect("a north-up grid");
+        assert_ne!(first.0, second.0);
+        assert_eq!(Some(second), Lattice::of(&moved, PHASE_BITS));
+        let rotated = GeoTransform([0.0, 1.0, 0.1, 0.0, 0.1, -1.0]);
+        assert!(found.on_lattice(0, &rotated, PHASE_BITS).is_none());
+    }
 }

@@ -16,6 +16,8 @@
 //! are taken from how the images disagree. Images that overlap disagree too little.
 
 mod fit;
+#[cfg(test)]
+mod hard_cases;
 mod render;
 
 use super::summary::{Estimate, Registration};

@@ -6,10 +6,13 @@
 //! Pixel `(i, j)` covers `[i, i+1) x [j, j+1)`; its centre is at `+0.5`; row 0 is north.
 
 mod affine;
+#[cfg(test)]
+mod hard_cases;
 mod web_mercator;
 
 pub use affine::GeoTransform;
 pub use web_mercator::{GridError, ImageGrid, MAX_LATITUDE_DEG, MERCATOR_HALF_WORLD_M, WGS84_A};
+pub(crate) use web_mercator::{latitude_of_mercator, mercator_of_latitude};
 
 use serde::{Deserialize, Serialize};
 

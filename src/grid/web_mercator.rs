@@ -93,16 +93,17 @@ impl ImageGrid {
         }
         let world = world_pixels(zoom);
         let at = world_pixel_of(center, world);
-        let west_px = at.x - f64::from(width) / 2.0;
-        let north_px = at.y - f64::from(height) / 2.0;
+        let (last_x, last_y) = (world - f64::from(width), world - f64::from(height));
+        let west_px = on_edge(at.x - f64::from(width) / 2.0, last_x, world);
+        let north_px = on_edge(at.y - f64::from(height) / 2.0, last_y, world);
         let off = |edge| GridError::OffTheMap { lat_deg, lon_deg, zoom, width, height, edge };
-        if west_px < 0.0 || west_px + f64::from(width) > world {
+        if west_px < 0.0 || west_px > last_x {
             return Err(off("antimeridian"));
         }
         if north_px < 0.0 {
             return Err(off("north edge"));
         }
-        if north_px + f64::from(height) > world {
+        if north_px > last_y {
             return Err(off("south edge"));
         }
         Ok(Self { center, zoom, width, height, west_px, north_px })
@@ -183,6 +184,21 @@ impl ImageGrid {
     }
 }
 
+/// The first pixel of an image, which is on the edge of the square where it is beyond by no more than
+/// a centre in doubles can tell: the outermost tiles of most zooms are.
+fn on_edge(first_px: f64, last_px: f64, world: f64) -> f64 {
+    // A latitude of 85 degrees is known to 1.2e-16 radians, which Mercator stretches twelvefold: one
+    // epsilon of the world; Mercator's own rounding is another.
+    let rounding = 4.0 * f64::EPSILON * world;
+    if first_px < 0.0 && first_px >= -rounding {
+        0.0
+    } else if first_px > last_px && first_px <= last_px + rounding {
+        last_px
+    } else {
+        first_px
+    }
+}
+
 /// Pixels around the world at a zoom level: `256 * 2^zoom`.
 fn world_pixels(zoom: u8) -> f64 {
     (256_u64 << zoom) as f64
@@ -197,14 +213,14 @@ fn world_pixel_of(at: LonLat, world: f64) -> PixelPoint {
 }
 
 /// Spherical Mercator ordinate for unit radius: `atanh(sin(lat))`.
-fn mercator_of_latitude(lat_deg: f64) -> f64 {
+pub(crate) fn mercator_of_latitude(lat_deg: f64) -> f64 {
     // asinh(tan) keeps full relative precision near the equator and towards the limit, where
     // ln(tan(pi/4 + lat/2)) loses digits.
     libm::asinh(libm::tan(lat_deg.to_radians()))
 }
 
 /// Latitude in degrees of a spherical Mercator ordinate: `atan(sinh(y))`.
-fn latitude_of_mercator(y: f64) -> f64 {
+pub(crate) fn latitude_of_mercator(y: f64) -> f64 {
     libm::atan(libm::sinh(y)).to_degrees()
 }
 

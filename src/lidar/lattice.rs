@@ -12,6 +12,10 @@ use serde::{Deserialize, Serialize};
 /// pixels (27 nanometres of a 1.5 ft pixel) absorbs them.
 pub const PHASE_BITS: u32 = 24;
 
+/// Roundings by which the corners and pixel sizes of two tiles of one raster may differ: those of a
+/// product, a sum and the digits that a file keeps of either.
+const ROUNDINGS: f64 = 4.0;
+
 /// Pixel size and phase of a north-up lattice in one CRS.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Lattice {
@@ -100,6 +104,33 @@ impl Lattice {
             bits,
         };
         Some((lattice, x.div_euclid(whole), -y.div_euclid(whole)))
+    }
+
+    /// The cell at which a raster begins, where it is a part of this lattice: its pixels are as large,
+    /// and its corner is off a cell's by no more than rounding.
+    ///
+    /// That the two phases round to the same number is not asked: where the phase lies near the
+    /// middle between two steps, the corners of tiles cut from one raster round to either.
+    #[must_use]
+    pub fn cell_of(&self, grid: &GeoTransform) -> Option<(i64, i64)> {
+        let along = |pixel: f64, own: f64, corner: f64, phase: f64| {
+            let cells = corner / own;
+            let rounding = ROUNDINGS * f64::EPSILON;
+            let cell = (cells - phase).round();
+            let off = (cells - cell) - phase;
+            let step = 0.5 / (1_i64 << self.bits) as f64;
+            let is_part = (pixel / own - 1.0).abs() <= rounding
+                && off.abs() <= step + rounding * cells.abs().max(1.0);
+            is_part.then_some(cell as i64)
+        };
+        if !grid.is_north_up() {
+            return None;
+        }
+        let steps = (1_i64 << self.bits) as f64;
+        let [x, y] = [self.phase_x, self.phase_y].map(|phase| phase as f64 / steps);
+        let col = along(grid.0[1], self.pixel_width, grid.0[0], x)?;
+        let row = along(-grid.0[5], self.pixel_height, grid.0[3], y)?;
+        Some((col, -row))
     }
 
     /// Largest displacement that rounding the phase can cause, CRS units.

@@ -9,6 +9,8 @@
 //! * [`SingleRaster`]: one raster in any CRS, brought onto image grids.
 //! * [`TileStore`]: the tiles themselves, read through one bounded block cache.
 
+#[cfg(test)]
+mod hard_cases;
 mod index;
 mod lattice;
 mod pixel_map;

@@ -8,10 +8,12 @@ use super::{
     TransformForm, WarpError, WarpSettings, WindowSource, warp,
 };
 use crate::crs::{CrsError, CrsSpec, Projection, ResolveOptions, resolve};
-use crate::grid::{GeoTransform, ImageGrid, LonLat, PixelPoint, Projected, WGS84_A};
+use crate::grid::{
+    GeoTransform, ImageGrid, LonLat, PixelPoint, Projected, WGS84_A, latitude_of_mercator,
+    mercator_of_latitude,
+};
 use crate::raster::{OpenOptions, RasterError, RasterHeader};
 use crate::units::LinearUnit;
-use std::f64::consts::FRAC_PI_4;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -190,14 +192,14 @@ impl Projection for SphericalMercator {
                 what: format!("longitude {lon_deg}, latitude {lat_deg}"),
             });
         }
-        let tangent = libm::tan(FRAC_PI_4 + lat_deg.to_radians() / 2.0);
-        Ok(Projected { x: WGS84_A * lon_deg.to_radians(), y: WGS84_A * libm::log(tangent) })
+        let y = WGS84_A * mercator_of_latitude(lat_deg);
+        Ok(Projected { x: WGS84_A * lon_deg.to_radians(), y })
     }
 
     fn inverse(&self, at: Projected) -> Result<LonLat, CrsError> {
         Ok(LonLat {
             lon_deg: (at.x / WGS84_A).to_degrees(),
-            lat_deg: libm::atan(libm::sinh(at.y / WGS84_A)).to_degrees(),
+            lat_deg: latitude_of_mercator(at.y / WGS84_A),
         })
     }
 }

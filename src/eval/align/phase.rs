@@ -16,6 +16,12 @@ const UPSAMPLING: f64 = 10.0;
 /// Steps on either side of the whole pixel that the refinement looks at: a region of
 /// `ceil(1.5 * 10)` steps.
 const REACH: usize = 7;
+/// Waves of less than this part of an image's sum are the rounding of its transform, of which the
+/// division by the amplitude would make waves like all others. (Those of 8-bit images that do not
+/// repeat themselves exactly are 1e4 times larger and more.)
+const ROUNDING: f64 = 1e-10;
+/// Correlations closer to each other than this, relatively, differ by rounding.
+const TIE: f64 = 1e-9;
 /// Steps in all.
 const REGION: usize = 2 * REACH + 1;
 
@@ -98,6 +104,9 @@ impl PhaseCorrelator {
         // The spectrum of a + ib at k, z, and at -k, m, holds both: a = (z + m*) / 2,
         // b = (z - m*) / 2i. The factors do not matter but for the smallest amplitude.
         self.power.resize(width * height, zero);
+        // The first is the sum of one image plus i times that of the other.
+        let sums = self.spectrum.first().map_or(0.0, |sums| (sums.re * sums.im).abs());
+        let least = (100.0 * f64::EPSILON).max(ROUNDING * ROUNDING * sums);
         for column in 0..width {
             let mirrored = (width - column) % width;
             for row in 0..height {
@@ -107,13 +116,15 @@ impl PhaseCorrelator {
                 let d = (z - m) * 0.5;
                 let b = Complex64::new(d.im, -d.re);
                 let product = a * b.conj();
-                let amplitude = product.norm_sqr().sqrt().max(100.0 * f64::EPSILON);
+                let amplitude = product.norm_sqr().sqrt().max(least);
                 self.power[column * height + row] = product / amplitude;
             }
         }
     }
 
-    /// Row and column of the first largest magnitude of the correlation.
+    /// Row and column of the largest magnitude of the correlation. Of several that differ by rounding
+    /// alone, as those of an image that repeats itself do, the one that stands for the shortest shift,
+    /// and of these the first: rounding must not choose between shifts that are a period apart.
     fn peak(&mut self, width: usize, height: usize) -> (usize, usize) {
         let Some(plans) = &self.plans else { return (0, 0) };
         let half = width / 2 + 1;
@@ -141,12 +152,20 @@ impl PhaseCorrelator {
             }
         }
         plans.rows_inverse.process_with_scratch(&mut self.image, &mut self.scratch);
-        let mut best = (-1.0, (0, 0));
-        for row in 0..height {
-            for (column, value) in self.image[row / 2 * width..][..width].iter().enumerate() {
-                let value = if row % 2 == 0 { value.re } else { value.im }.abs();
-                if value > best.0 {
-                    best = (value, (row, column));
+        let magnitudes = || {
+            (0..height).flat_map(|row| {
+                let line = self.image[row / 2 * width..][..width].iter();
+                line.map(move |value| if row % 2 == 0 { value.re } else { value.im }.abs())
+            })
+        };
+        let largest = magnitudes().fold(0.0, f64::max);
+        let mut best = (f64::INFINITY, (0, 0));
+        for (at, value) in magnitudes().enumerate() {
+            if value >= largest * (1.0 - TIE) {
+                let (row, column) = (at / width, at % width);
+                let length = libm::hypot(wrapped(row, height), wrapped(column, width));
+                if length < best.0 {
+                    best = (length, (row, column));
                 }
             }
         }

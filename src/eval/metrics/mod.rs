@@ -6,6 +6,8 @@
 mod bootstrap;
 mod differences;
 mod double;
+#[cfg(test)]
+mod hard_cases;
 mod histogram;
 mod key;
 mod quantiles;

@@ -65,7 +65,7 @@ const START_LEAN: f64 = 0.12;
 
 /// Sums for the correlation of two sets of heights.
 #[derive(Default)]
-struct Moments {
+pub(super) struct Moments {
     n: f64,
     a: f64,
     b: f64,
@@ -75,7 +75,7 @@ struct Moments {
 }
 
 impl Moments {
-    fn add(&mut self, a: f64, b: f64) {
+    pub(super) fn add(&mut self, a: f64, b: f64) {
         self.n += 1.0;
         self.a += a;
         self.b += b;
@@ -90,7 +90,7 @@ impl Moments {
         (self.aa / self.n - a * a, self.bb / self.n - b * b, self.ab / self.n - a * b)
     }
 
-    fn correlation(&self) -> f64 {
+    pub(super) fn correlation(&self) -> f64 {
         let (aa, bb, ab) = self.spread();
         ab / (aa * bb).sqrt()
     }
@@ -214,7 +214,7 @@ pub(super) fn refine(
 }
 
 /// Number of unknowns: x, y, zero, shortfall, blur, and the two of the lean.
-const UNKNOWNS: usize = 7;
+pub(super) const UNKNOWNS: usize = 7;
 
 /// One pixel of the fit.
 struct Row {
@@ -316,7 +316,7 @@ fn step(level: &Level, rendered: &Rendered, now: &Parameters, first: bool) -> Op
 
 /// Solves the first `n` normal equations by Cholesky's method after scaling; also the diagonal of
 /// the inverse. `None` where they are singular.
-fn solve(
+pub(super) fn solve(
     normal: &[[f64; UNKNOWNS + 1]; UNKNOWNS],
     n: usize,
 ) -> Option<([f64; UNKNOWNS], [f64; UNKNOWNS])> {

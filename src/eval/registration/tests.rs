@@ -2,8 +2,8 @@ use super::*;
 use crate::random::{Draw, normal};
 use rayon::prelude::*;
 
-const SIZE: usize = 256;
-const PIXEL_M: f64 = 0.25;
+pub(super) const SIZE: usize = 256;
+pub(super) const PIXEL_M: f64 = 0.25;
 
 /// A house: west, south, east and north walls in metres from the north-west corner (y to the
 /// south), height.
@@ -14,22 +14,22 @@ struct House {
     height: f64,
 }
 
-struct City {
+pub(super) struct City {
     houses: Vec<House>,
     slope: (f64, f64),
 }
 
 #[derive(Clone, Copy)]
-struct View {
-    shift: (f64, f64),
-    lean: (f64, f64),
-    zero: f64,
-    blur_px: f64,
-    noise_m: f64,
+pub(super) struct View {
+    pub(super) shift: (f64, f64),
+    pub(super) lean: (f64, f64),
+    pub(super) zero: f64,
+    pub(super) blur_px: f64,
+    pub(super) noise_m: f64,
 }
 
 impl City {
-    fn new(seed: u64, heights: (f64, f64)) -> Self {
+    pub(super) fn new(seed: u64, heights: (f64, f64)) -> Self {
         let mut draw = Draw::new(&[seed, 77]);
         let mut houses = Vec::new();
         // A house on most lots of a grid that goes beyond the image.
@@ -58,21 +58,21 @@ impl City {
         Surface::new(SIZE, SIZE, values.collect())
     }
 
-    fn truth(&self) -> Surface {
+    pub(super) fn truth(&self) -> Surface {
         self.sampled(|x, y| {
             let over = self.houses.iter().filter(|h| h.holds(x, y)).map(|h| h.height);
             self.ground(x, y) + over.fold(0.0, f64::max)
         })
     }
 
-    fn bare(&self) -> Surface {
+    pub(super) fn bare(&self) -> Surface {
         self.sampled(|x, y| self.ground(x, y))
     }
 
     /// What a network makes of the leaning image: each house as it is seen (a roof displaced, a wall
     /// between its foot and its roof), a little too low or too high, blurred, with errors that reach
     /// over metres and others that do not.
-    fn prediction(&self, seed: u64, view: View) -> Surface {
+    pub(super) fn prediction(&self, seed: u64, view: View) -> Surface {
         let mut draw = Draw::new(&[seed, 78]);
         let scale: Vec<f64> = self.houses.iter().map(|_| draw.range(0.7, 1.1)).collect();
         let sharp = self.sampled(|x, y| {
@@ -140,7 +140,7 @@ fn blur(surface: &Surface, sigma: f64) -> Surface {
     Surface::new(SIZE, SIZE, pass(&rows, (0, 1)))
 }
 
-const VIEW: View =
+pub(super) const VIEW: View =
     View { shift: (0.0, 0.0), lean: (0.0, 0.0), zero: 12.5, blur_px: 3.0, noise_m: 0.6 };
 
 fn whole(view: View, heights: (f64, f64), images: u64, with_ground: bool) -> Registration {

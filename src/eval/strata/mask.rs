@@ -4,11 +4,10 @@ use super::NO_CLASS;
 use super::geojson::{self, Features};
 use super::polygons::{ClassPolygon, PolygonSet, densify, nothing};
 use crate::crs::{CrsError, CrsSpec};
-use crate::grid::{ImageGrid, LonLat, MAX_LATITUDE_DEG, Projected, WGS84_A};
+use crate::grid::{ImageGrid, LonLat, MAX_LATITUDE_DEG, Projected, WGS84_A, mercator_of_latitude};
 use crate::lidar::{EdgeRule, Placement, Resampling, SingleRaster, SingleRasterError};
 use crate::raster::{OpenOptions, RasterError, open};
 use std::collections::BTreeMap;
-use std::f64::consts::FRAC_PI_4;
 use std::path::{Path, PathBuf};
 
 /// How a mask is read.
@@ -298,7 +297,7 @@ fn place(
 fn mercator(at: LonLat) -> Result<[f64; 2], CrsError> {
     let lat_deg = at.lat_deg.clamp(-MAX_LATITUDE_DEG - 0.1, MAX_LATITUDE_DEG + 0.1);
     let x = WGS84_A * at.lon_deg.to_radians();
-    let y = WGS84_A * libm::log(libm::tan(FRAC_PI_4 + lat_deg.to_radians() / 2.0));
+    let y = WGS84_A * mercator_of_latitude(lat_deg);
     if x.is_finite() && y.is_finite() {
         return Ok([x, y]);
     }
