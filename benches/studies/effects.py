@@ -5,9 +5,9 @@
 
 For each scene of `pipelines/scenes/`, with the image in its middle alone: the plan's own choice, each effect switched
 the other way (left out where the plan has it, forced where it has not), everything forced, and everything left out.
-Times are processor times of whole runs of `sat3d simulate` on one thread with an image of 320 pixels. All variants run in
-turn, round after round; a cost is the median over the rounds of the difference to the plan's own run of that round, so that a
-busy machine touches both alike, and 0 where it is within two standard errors. Changes are taken from the results: all lidar tiles, and an image of 640 pixels. Needs NumPy and Pillow.
+Times are medians of the processor time of whole runs of `sat3d simulate` on one thread with an image of 320 pixels, all
+variants in turn, so that a busy machine touches all alike; a difference within twice the sum of its two median deviations is
+given as 0. Changes are taken from the results: all lidar tiles, and an image of 640 pixels. Needs NumPy and Pillow.
 """
 import argparse
 import json
@@ -33,7 +33,7 @@ def main():
     parser.add_argument("--sat3d", type=Path, default=Path("target/release/sat3d"))
     parser.add_argument("--scenes", type=Path, default=Path("pipelines/scenes"))
     parser.add_argument("--pictures", type=Path, help="folder for one PNG per scene")
-    parser.add_argument("--rounds", type=int, default=9)
+    parser.add_argument("--rounds", type=int, default=5)
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         for name in SCENES:
@@ -57,6 +57,12 @@ def study(args, name, folder):
         for variant, options in variants.items():
             times[variant].append(simulate(args.sat3d, small, folder / "timed", options))
     seconds = {variant: statistics.median(values) for variant, values in times.items()}
+    noise = {v: statistics.median(abs(t - seconds[v]) for t in times[v]) for v in variants}
+
+    def difference(a, b):
+        seen = abs(seconds[a] - seconds[b]) > 2 * (noise[a] + noise[b])
+        return f"{seconds[a] - seconds[b]:.2f}" if seen else "0"
+
     results = {}
     for variant, options in variants.items():
         simulate(args.sat3d, scene, folder / variant, options)
@@ -69,20 +75,16 @@ def study(args, name, folder):
         step = plan[effect]
         left_out = steps(args.sat3d, scene, ["--without", effect])[effect]["bound"]
         bound = max(left_out["horizontal_m"], left_out["vertical_m"])
-        cost, error = difference(times["plan"], times[effect])
-        cost = cost if effect in on else -cost
+        cost = difference("plan", effect) if effect in on else difference(effect, "plan")
         print(
             f"| `{effect}` | {'yes' if effect in on else 'no'} | {step['cause']} | {number(bound)} "
-            f"| {'0' if abs(cost) <= 2 * error else f'{cost:.2f}'} "
+            f"| {cost} "
             f"| {change(results['plan'], results[effect])} |"
         )
-    saved, saved_error = difference(times["all"], times["plan"])
-    cost, cost_error = difference(times["plan"], times["none"])
     heights, pixels = change(results["all"], results["plan"]).split(" | ")
     print(
-        f"\nThe plan's choice takes {seconds['plan']:.2f} s, of which its effects take {cost:.2f} s (standard error "
-        f"{cost_error:.2f}); everything forced takes {saved:.2f} s more ({saved_error:.2f}). Against everything forced the "
-        f"plan's heights differ by {heights} m, and {pixels} of the pixels."
+        f"\nThe plan's choice takes {seconds['plan']:.2f} s, everything forced {seconds['all']:.2f} s, nothing "
+        f"{seconds['none']:.2f} s. Against everything forced the plan's heights differ by {heights} m, and {pixels} of the pixels."
     )
     if args.pictures:
         args.pictures.mkdir(parents=True, exist_ok=True)
@@ -128,14 +130,6 @@ def shade(sat3d, out):
     command += ["--out", out / "dsm", "--coverage", "mosaic", "--max-nan", "100", "--preview"]
     subprocess.run(command, check=True, capture_output=True)
     return Image.open(next((out / "dsm").glob("*_dsm.png"))).convert("RGB")
-
-
-def difference(a, b):
-    """Median of a - b over the rounds, and its standard error from the median deviation."""
-    pairs = [x - y for x, y in zip(a, b)]
-    middle = statistics.median(pairs)
-    deviation = 1.4826 * statistics.median(abs(pair - middle) for pair in pairs)
-    return middle, 1.2533 * deviation / len(pairs) ** 0.5
 
 
 def change(a, b):

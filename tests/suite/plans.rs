@@ -35,7 +35,7 @@ fn scene(folder: &Path, name: &str, more: &str) -> PathBuf {
 
 /// Everything that a scene can call for.
 const ALL_EFFECTS: &str = "colours = \"palette\"\nsensor_noise_levels = 1.0\nyear = 2025\nseason = \"summer\"
-[terrain]\nrelief_metres = 30.0\nwavelength_metres = 80.0\nslope_percent = 10.0
+[terrain]\nrelief_metres = 20.0\nwavelength_metres = 80.0\nslope_percent = 10.0
 [sun]\nazimuth_degrees = 200.0\nelevation_degrees = 6.0
 [view]\noff_nadir_degrees = 20.0\nazimuth_degrees = 110.0
 [lidar]\nnoise_sigma_metres = 0.02\nmissing_pulse_share = 0.01\ncrown_penetration_share = 0.1\ngap_count = 1
@@ -280,7 +280,7 @@ fn a_tiling_does_what_its_plan_has_on_and_nothing_else() {
                 "masked.png",
                 "pieces",
                 "--gsd 0.2 --window-gsd 0.25 --stride 64 --trim 16 --dsm d.tif --mesh m.ply --error 1 --density d.zarr
-                 --tiles3d tiles --isovalue 0.5",
+                 --tiles3d tiles --isovalue 26",
             ),
         ],
         // Needs a picture with a place.
