@@ -135,7 +135,7 @@ impl Workshop<'_> {
                     let model = self.model.ok_or("a picture needs --weights")?;
                     let sky = self.options.outputs.needs_sky().then(|| self.sky()).transpose()?;
                     record.light = self.light.map(|light| light.origin.clone());
-                    for id in ["resize", "encoder", "decoder", "precision"] {
+                    for id in ["resize", "network", "precision"] {
                         runs(id);
                     }
                     let scene = model.scene(&image, sky, unit_m).map_err(|e| e.to_string())?;

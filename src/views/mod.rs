@@ -316,7 +316,6 @@ fn film(
     exposure.write(format!("{folder}.gif"), gif(&frames, path.fps)?)?;
     match &path.video {
         Some(encoder) => {
-            runs("video");
             exposure.write(format!("{folder}.mp4"), encoder.encode(&frames, path.fps)?)
         }
         None => Ok(()),

@@ -64,21 +64,11 @@ impl ViewRequests {
             steps.push(Step::exact(
                 "animation",
                 true,
-                "GIF, one palette of 256 colours",
+                "GIF of 256 colours; MP4 where ffmpeg is installed",
                 [
-                    "median cut over all frames",
+                    "median cut over all frames; all frames once through ffmpeg",
                     "--trajectory",
-                    "colours differ from the frames' by the palette",
-                ],
-            ));
-            steps.push(Step::exact(
-                "video",
-                true,
-                "MP4, where ffmpeg is installed",
-                [
-                    "all frames once through ffmpeg",
-                    "--trajectory",
-                    "left out, and said, where ffmpeg is not installed",
+                    "colours of the GIF differ from the frames' by its palette; a missing MP4 is said",
                 ],
             ));
         } else {
