@@ -269,7 +269,7 @@ impl Prepared {
         let mut samples: Vec<Vec<ImageSample>> = Vec::new();
         let each = self.evaluations().into_iter().zip(pass.tallies).zip(pass.kept);
         for (((set, protocol), tally), kept) in each {
-            self.plan.runs("quantiles");
+            runs("quantiles");
             let mut fine = Fine::new(&tally);
             for from in (0..tally.rows.len()).step_by(IN_FLIGHT) {
                 if interrupt.requested() {

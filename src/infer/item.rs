@@ -176,6 +176,10 @@ impl Workshop<'_> {
         let stored = scene.parts().sky.is_some() && self.options.illumination.is_none();
         let needed = self.options.outputs.needs_sky();
         let new_sky = needed && !stored;
+        if needed {
+            // The scene's own, or one that is computed.
+            runs("sky");
+        }
         if !needed {
             record.light = None;
         } else if new_sky {
