@@ -8,7 +8,8 @@ use sat3d::eval::inputs::InputSettings;
 use sat3d::eval::report::{self, Panel};
 use sat3d::eval::summary::{Evaluation, EvaluationSet};
 use sat3d::eval::{
-    self, Baseline, EvalOptions, MaskOptions, OffsetMethod, Prepared, Protocol, Resize, published,
+    self, Baseline, EvalOptions, MaskOptions, OffsetMethod, Outputs, Prepared, Protocol, Resize,
+    published,
 };
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
@@ -26,6 +27,7 @@ use std::path::{Path, PathBuf};
   sat3d eval --pred out/ --gt dsm/ --protocol all --report report.html --csv images.csv
   sat3d eval --pred model_a/ --pred model_b/ --gt dsm/ --against paper
   sat3d eval --pred shifted.tif --gt reference.tif --protocol coregister
+  sat3d eval --pred out/ --gt dsm/ --explain
   sat3d eval --pred out/ --gt dsm/ --shard 1/4 --parts parts/     (then: sat3d eval merge parts/)"
 )]
 pub struct Args {
@@ -97,6 +99,9 @@ struct ScoreArgs {
     /// Folder for the parts of a sharded run
     #[arg(long, value_name = "DIR", requires = "shard", conflicts_with_all = ["json", "csv", "parquet", "report", "against"])]
     parts: Option<PathBuf>,
+    /// Print the plan (each step with its bound, cost and cause; as JSON with --json) and write nothing
+    #[arg(long)]
+    explain: bool,
     #[command(flatten)]
     common: CommonArgs,
 }
@@ -285,8 +290,20 @@ fn unless_interrupted<T>(result: Result<T, eval::EvalError>) -> anyhow::Result<O
     }
 }
 
+fn explain(prepared: &Prepared, json: bool) -> anyhow::Result<ExitCode> {
+    if json {
+        console::print(&format!("{:#}\n", serde_json::to_value(&prepared.plan)?))?;
+    } else {
+        console::print(&prepared.plan.explain())?;
+    }
+    Ok(ExitCode::Success)
+}
+
 fn score(args: &ScoreArgs) -> anyhow::Result<ExitCode> {
     let prepared = eval::prepare(args.options()?)?;
+    if args.explain {
+        return explain(&prepared, args.common.json.is_some());
+    }
     args.common.make_folders()?;
     let interrupt = Interrupt::on_signals();
     if let Some(folder) = &args.parts {
@@ -372,6 +389,11 @@ impl CommonArgs {
             };
             (path, settings)
         });
+        options.outputs = Outputs {
+            table: self.csv.is_some() || self.parquet.is_some(),
+            report: self.report.is_some(),
+            published: self.against.is_some(),
+        };
         options.threads = self.threads.unwrap_or(options.threads).max(1);
         options.memory =
             usize::try_from(self.memory << 20).context("--memory is too large for this machine")?;

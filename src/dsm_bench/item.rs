@@ -4,7 +4,7 @@ use super::layers::LayerSource;
 use super::options::{BuildOptions, GridKind, TransformChoice};
 use super::plan::Budget;
 use super::record::Record;
-use super::tiles::TileSet;
+use super::tiles::{TileSet, moves_points};
 use super::{Coverage, ImageEntry};
 use crate::batch::{OutputFile, Product, Status};
 use crate::grid::{ImageGrid, PixelPoint};
@@ -12,6 +12,7 @@ use crate::lidar::{
     PixelMap, PixelToCrs, TransformForm, WarpError, WarpSettings, WarpStatistics, WindowSource,
     warp,
 };
+use crate::plan::runs;
 use crate::raster::geotiff::{CogSpec, encode_cog};
 use crate::raster::npz::{self, Compression, NpyArray, NpyData};
 use crate::raster::preview;
@@ -161,6 +162,7 @@ impl Workshop<'_> {
         coverage: Coverage,
         ids: bool,
     ) -> Result<Warped, NoDsm> {
+        runs("coverage");
         let mut prepared = Vec::with_capacity(layers.len());
         let mut first_crs = None;
         for layer in layers {
@@ -189,6 +191,15 @@ impl Workshop<'_> {
         layer: &LayerSource<'_>,
     ) -> Result<(PixelMap, TransformForm), NoDsm> {
         let crs = &tiles.crs[layer.crs];
+        runs("projection");
+        runs("lattice");
+        runs("transform");
+        if moves_points(&crs.operation, self.options) {
+            runs("datum");
+        }
+        if crs.metres_per_unit != 1.0 {
+            runs("horizontal-unit");
+        }
         let (exact, forced) = match (self.options.grid, self.options.transform) {
             (GridKind::Reference, _) => {
                 (PixelToCrs::reference_box(grid, &*crs.projection)?, Some(TransformForm::Affine))
@@ -233,6 +244,13 @@ impl Workshop<'_> {
         let mut heights = vec![f32::NAN; pixels];
         let mut tile_ids = ids.then(|| vec![u16::MAX; pixels]);
         let settings = self.settings(tiles, &candidate.layer);
+        runs("kernel");
+        if settings.metres_per_unit != 1.0 {
+            runs("vertical-unit");
+        }
+        if ids {
+            runs("source-tile");
+        }
         let statistics = warp(
             &candidate.map,
             &candidate.layer,
@@ -333,6 +351,7 @@ impl Workshop<'_> {
         tiles: &TileSet,
         record: &mut Record,
     ) -> Result<Vec<f32>, NoDsm> {
+        runs("bare-earth");
         let pixels = self.options.size as usize * self.options.size as usize;
         let candidates = tiles.candidates(grid);
         let mut heights = if candidates.is_empty() {
@@ -349,6 +368,7 @@ impl Workshop<'_> {
 
     fn quantise(&self, heights: &mut [f32]) {
         if let Some(quantisation) = self.options.quantise {
+            runs("quantise");
             let step = quantisation.step_m;
             for height in heights {
                 *height = ((f64::from(*height) / step).round() * step) as f32;
@@ -387,6 +407,7 @@ impl Workshop<'_> {
         ids: Option<&[u16]>,
         files: &mut Vec<(String, Vec<u8>)>,
     ) {
+        runs("storage");
         let size = self.options.size as usize;
         let shape = [size, size];
         let mut arrays = vec![NpyArray { name: "dsm", shape: &shape, data: NpyData::F32(heights) }];
@@ -399,6 +420,7 @@ impl Workshop<'_> {
         let stem = &record.name;
         files.push((format!("{stem}_dsm.npz"), npz::encode(&arrays, Compression::Fast)));
         if self.options.geotiff {
+            runs("geotiff");
             let metadata = vec![
                 ("TIFFTAG_SOFTWARE".to_owned(), format!("sat3d {}", env!("CARGO_PKG_VERSION"))),
                 ("SOURCE_TILES".to_owned(), record.tiles.join(";")),
@@ -417,6 +439,7 @@ impl Workshop<'_> {
             files.push((format!("{stem}_dsm.tif"), encode_cog(heights, &spec)));
         }
         if self.options.preview {
+            runs("preview");
             let pixel = grid.ground_sample_distance();
             files.push((
                 format!("{stem}_dsm.png"),

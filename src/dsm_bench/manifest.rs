@@ -109,6 +109,7 @@ pub fn write(
         write_json(&out.join("run.json"), &run_json(facts))?;
     }
     if stac {
+        crate::plan::runs("stac");
         super::stac::write(out, &benchmark, &records)?;
     }
     Ok(())

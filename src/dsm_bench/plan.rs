@@ -1,7 +1,8 @@
 //! The plan of a benchmark build: each step with its bound, cost and cause.
 
+use super::Coverage;
 use super::options::{BuildOptions, GridKind, TransformChoice};
-use super::tiles::TileSet;
+use super::tiles::{TileSet, datum_bound_m, moves_points};
 use crate::lidar::{Resampling, TransformForm};
 use crate::plan::{Bound, Plan, Step};
 use crate::units::LinearUnit;
@@ -46,6 +47,7 @@ pub fn resolve(options: &BuildOptions, tiles: &TileSet) -> (Plan, Budget) {
         steps.iter().filter(|s| s.id != Plan::OPERATION).map(|s| s.bound.horizontal_m).sum();
     let transform_m = (options.tolerance_m - before).max(0.0);
     steps.push(transform_step(options, transform_m));
+    steps.push(coverage_step(options));
     steps.push(unit_step(tiles));
     steps.push(kernel_step(options));
     steps.push(vertical_step(tiles));
@@ -61,6 +63,7 @@ pub fn resolve(options: &BuildOptions, tiles: &TileSet) -> (Plan, Budget) {
             "interpolation is f64, rounded once (bound for heights under {STATED_HEIGHT_M} m)"
         ),
     });
+    steps.extend(output_steps(options));
     let plan = Plan {
         command: "dsm-bench build".into(),
         tolerance_m: options.tolerance_m,
@@ -91,13 +94,13 @@ fn operation_steps(options: &BuildOptions, tiles: &TileSet, steps: &mut Vec<Step
             },
         });
         let shift = operation.datum_shift_m;
-        let left_out =
-            shift > 0.0 && 1.05 * shift < options.tolerance_m && options.operation.is_none();
+        let on = moves_points(operation, options);
+        let left_out = shift > 0.0 && !on;
         steps.push(Step {
             id: "datum".into(),
-            on: shift > 0.0 && !left_out,
+            on,
             form: if shift > 0.0 { operation.name.clone() } else { "null shift".into() },
-            bound: Bound::horizontal(if left_out { 1.05 * shift } else { 0.0 }),
+            bound: Bound::horizontal(if left_out { datum_bound_m(operation) } else { 0.0 }),
             cost: "3 x 3 rotation per projected point".into(),
             cause: format!("{} is not WGS 84: {shift:.3} m here", crs.spec.name),
             reason: if left_out {
@@ -196,6 +199,65 @@ fn kernel_step(options: &BuildOptions) -> Step {
         reason: "GDAL's rule; widened by the ratio where the image is coarser than the tiles"
             .into(),
     }
+}
+
+fn coverage_step(options: &BuildOptions) -> Step {
+    let (form, cost, reason) = match options.coverage {
+        Coverage::BestTile => (
+            "best tile",
+            "candidates that could win are warped whole; of an image that is refused, a mosaic too",
+            "as published: one survey flight per image, no joints",
+        ),
+        Coverage::Mosaic => (
+            "mosaic",
+            "layers are warped until no pixel is left empty",
+            "--coverage mosaic: what the first tile leaves empty comes from the next",
+        ),
+    };
+    Step::exact("coverage", true, form, [cost, "images that several tiles touch", reason])
+}
+
+fn output_steps(options: &BuildOptions) -> [Step; 5] {
+    let output = |id: &str, on: bool, form: &str, cost: &str, cause: &str| {
+        Step::exact(id, on, form, [cost, cause, if on { "asked for" } else { "not asked for" }])
+    };
+    [
+        output(
+            "bare-earth",
+            !options.dtm.is_empty(),
+            "key dtm, warped as the surface",
+            "one warp more per image",
+            "--dtm: heights above ground",
+        ),
+        output(
+            "source-tile",
+            options.source_tile,
+            "key source_tile",
+            "2 bytes per pixel",
+            "--source-tile: which tile a pixel came from",
+        ),
+        output(
+            "geotiff",
+            options.geotiff,
+            "COG",
+            "one file per image",
+            "--geotiff: GIS software reads it",
+        ),
+        output(
+            "preview",
+            options.preview,
+            "hillshade as PNG",
+            "one file per image",
+            "--preview: to look at",
+        ),
+        output(
+            "stac",
+            options.stac,
+            "a collection, an item per image",
+            "one small file per image",
+            "--stac: catalogues find it",
+        ),
+    ]
 }
 
 fn vertical_step(tiles: &TileSet) -> Step {

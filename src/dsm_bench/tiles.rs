@@ -2,7 +2,7 @@
 
 use super::layers::{Layer, LayerSource};
 use super::{BenchError, BuildOptions, Coverage};
-use crate::crs::{CrsError, CrsSpec, ResolveOptions, ResolvedCrs, resolve};
+use crate::crs::{CrsError, CrsSpec, OperationInfo, ResolveOptions, ResolvedCrs, resolve};
 use crate::grid::{GeoTransform, ImageGrid, PixelPoint};
 use crate::lidar::{Lattice, LatticeWindow, TileFootprint, TileIndex, TileStore};
 use crate::raster::{OpenOptions, RasterHeader, list_tiles};
@@ -371,16 +371,25 @@ fn resolve_for(
         a.lat_deg.max(b.lat_deg),
     ]);
     let resolved = resolve(spec, &asked)?;
-    // A step whose bound is under the tolerance is left out: for the datum that takes a tolerance
-    // of metres. 5 % covers the change of the shift over a region.
-    let left_out = 1.05 * resolved.operation.datum_shift_m;
-    if left_out > 0.0 && left_out < options.tolerance_m && options.operation.is_none() {
+    if resolved.operation.datum_shift_m > 0.0 && !moves_points(&resolved.operation, options) {
         asked.without_datum_step = true;
         let mut without = resolve(spec, &asked)?;
         without.operation.datum_shift_m = resolved.operation.datum_shift_m;
         return Ok(without);
     }
     Ok(resolved)
+}
+
+/// Whether an operation's datum step is applied. One whose bound is under the tolerance is left out,
+/// which takes a tolerance of metres.
+pub(super) fn moves_points(operation: &OperationInfo, options: &BuildOptions) -> bool {
+    let named = options.operation.is_some();
+    operation.datum_shift_m > 0.0 && (named || datum_bound_m(operation) >= options.tolerance_m)
+}
+
+/// Error of leaving a datum step out, metres: 5 % covers the change of the shift over a region.
+pub(super) fn datum_bound_m(operation: &OperationInfo) -> f64 {
+    1.05 * operation.datum_shift_m
 }
 
 struct VerticalUnit {

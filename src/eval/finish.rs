@@ -14,6 +14,7 @@ use super::summary::{
 };
 use super::tally::{Fine, Tally};
 use crate::batch::Status;
+use crate::plan::runs;
 use std::collections::BTreeMap;
 
 /// Confidence level of the intervals, per cent.
@@ -51,6 +52,9 @@ pub fn evaluation(
         truth_pixels: totals.all.truth_pixels,
         completeness_pct: pct(sums.pixels(), totals.all.truth_pixels),
     };
+    if prepared.options.replicates > 0 {
+        runs("bootstrap");
+    }
     Evaluation {
         schema: "sat3d-eval-1".into(),
         model: model.to_owned(),
@@ -102,6 +106,9 @@ pub fn set(
             }
         })
         .collect();
+    if prepared.settings.models.len() > 1 {
+        runs("differences");
+    }
     let differences = differences(&sets, &prepared.settings.thresholds, &bootstrap(prepared));
     EvaluationSet { evaluations, differences, published: Vec::new() }
 }

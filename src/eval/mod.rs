@@ -22,6 +22,7 @@ pub mod inputs;
 pub mod metrics;
 mod options;
 mod part;
+mod plan;
 mod protocol;
 pub mod published;
 pub mod registration;
@@ -35,7 +36,7 @@ mod surface;
 mod tally;
 
 pub use baseline::{Baseline, BaselineSummary, write_baselines};
-pub use options::{EvalOptions, Settings};
+pub use options::{EvalOptions, Outputs, Settings};
 pub use part::merge;
 pub use protocol::{OffsetMethod, Protocol};
 pub use resize::{Resize, resize};

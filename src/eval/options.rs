@@ -39,6 +39,8 @@ pub struct EvalOptions {
     pub registration_images: usize,
     /// Folder for rasters of the errors.
     pub errors: Option<PathBuf>,
+    /// What is made of the scores; decides no number.
+    pub outputs: Outputs,
     /// The part of the images that this run does.
     pub shard: Shard,
     /// Worker threads; the result does not depend on it.
@@ -47,6 +49,17 @@ pub struct EvalOptions {
     pub memory: usize,
     /// No progress.
     pub quiet: bool,
+}
+
+/// What is made of the scores beside what is printed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Outputs {
+    /// A table with a row per image.
+    pub table: bool,
+    /// The HTML report.
+    pub report: bool,
+    /// Published rows beside the scores.
+    pub published: bool,
 }
 
 /// What two runs must share so that their parts can be merged; the parts' identity.
@@ -101,6 +114,7 @@ impl EvalOptions {
             seed: 1,
             registration_images: 256,
             errors: None,
+            outputs: Outputs::default(),
             shard: Shard::WHOLE,
             threads: std::thread::available_parallelism().map_or(1, usize::from),
             memory: 1024 << 20,

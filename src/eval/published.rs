@@ -11,6 +11,7 @@ pub const PAPER: &str = "Sat3DGen, ICLR 2026, VIGOR-OOD";
 /// computed.
 #[must_use]
 pub fn paper_rows() -> Vec<PublishedRow> {
+    crate::plan::runs("published");
     [
         ("Sat2Density++", [4.72, 6.76, 49.69, 83.65]),
         ("Canonical image-to-3D", [4.23, 6.21, 52.73, 84.54]),

@@ -7,9 +7,10 @@
 use super::align::{Aligner, apply};
 use super::error_raster;
 use super::finish;
-use super::inputs::{InputError, Pair, Truth, pair, read_prediction, read_truth};
+use super::inputs::{InputError, Pair, Truth, demands, pair, read_prediction, read_truth};
 use super::metrics::{ImageSample, block_of, lone_block};
 use super::options::{EvalOptions, Settings};
+use super::plan;
 use super::protocol::Protocol;
 use super::registration;
 use super::resize::{resize, resize_nearest};
@@ -21,6 +22,7 @@ use super::summary::{Evaluation, EvaluationSet, ImageScore, ImageScores};
 use super::surface::Surface;
 use super::tally::{CHUNK, Fine, Item, Tally};
 use crate::batch::{Interrupt, Progress, Status};
+use crate::plan::{Plan, runs};
 use rayon::prelude::*;
 use std::path::PathBuf;
 
@@ -75,6 +77,8 @@ pub struct Prepared {
     pub options: EvalOptions,
     /// What decides the numbers.
     pub settings: Settings,
+    /// The plan.
+    pub plan: Plan,
     /// The pairs, sorted by name.
     pub pairs: Vec<Pair>,
     pub(super) set: StratumSet,
@@ -118,7 +122,8 @@ pub fn prepare(options: EvalOptions) -> Result<Prepared, EvalError> {
     let set = StratumSet::new(true, mask.as_ref(), &StrataSettings::default());
     let labels = mask.as_ref().map_or_else(Vec::new, |mask| mask.labels().to_vec());
     let settings = options.settings(labels);
-    Ok(Prepared { options, settings, pairs, set, mask })
+    let plan = plan::resolve(&options, &settings, &demands(&pairs, &options.inputs));
+    Ok(Prepared { options, settings, plan, pairs, set, mask })
 }
 
 /// Why one image was not scored: for the count of reasons, and in full.
@@ -264,6 +269,7 @@ impl Prepared {
         let mut samples: Vec<Vec<ImageSample>> = Vec::new();
         let each = self.evaluations().into_iter().zip(pass.tallies).zip(pass.kept);
         for (((set, protocol), tally), kept) in each {
+            runs("quantiles");
             let mut fine = Fine::new(&tally);
             for from in (0..tally.rows.len()).step_by(IN_FLIGHT) {
                 if interrupt.requested() {
@@ -304,6 +310,7 @@ impl Prepared {
             let truth = truth.as_ref().ok();
             let estimate = match &loaded {
                 Ok(loaded) if self.registers(index) => loaded.layers.pixel_m.and_then(|pixel_m| {
+                    runs("registration");
                     let Layers { truth, ground, .. } = &loaded.layers;
                     registration::of_image(&loaded.prediction, truth, ground.as_ref(), pixel_m)
                 }),
@@ -317,6 +324,7 @@ impl Prepared {
                 if let (Ok(scored), Some(truth), Some(folder)) =
                     (&scored, truth, &self.options.errors)
                 {
+                    runs("error-rasters");
                     let folder = self.errors_folder(folder, set, protocol);
                     error_raster::write(&folder, &pair.name, &scored.compared, &truth.place)?;
                 }
@@ -348,6 +356,17 @@ impl Prepared {
         let (width, height) = prediction.surface.size();
         let (truth_width, truth_height) = truth.surface.size();
         let how = self.options.resize;
+        let differs = (width, height) != (truth_width, truth_height);
+        if differs && !self.plan.runs("resize") {
+            return Err(NotScored {
+                status: Status::Failed,
+                kind: "its size changed since the plan was made".into(),
+                reason: format!(
+                    "{}: {width} x {height} pixels, and {truth_width} x {truth_height} of ground truth; run again",
+                    path.display()
+                ),
+            });
+        }
         let classes = match (&self.mask, &truth.place.grid) {
             (Some(mask), Some(grid)) => {
                 let classes = mask.classes(grid).map_err(|error| NotScored {

@@ -7,6 +7,7 @@ use super::protocol::Protocol;
 use super::strata::{Strata, StratumSet};
 use super::summary::ImageScores;
 use super::surface::Surface;
+use crate::plan::runs;
 use serde::{Deserialize, Serialize};
 
 /// A class in [`Errors::classes`] for pixels that no bin of a group takes.
@@ -92,17 +93,19 @@ fn strata_of(
 ) -> Option<Strata> {
     let pixel_m = layers.pixel_m?;
     let (width, height) = layers.truth.size();
+    runs("strata");
     let ground = layers.ground.as_ref().map(|ground| {
+        runs("height-above-ground");
         let mut ground = super::align::apply(alignment, ground);
         for height in &mut ground.values {
             *height = (f64::from(*height) - alignment.vertical_offset_m) as f32;
         }
         ground
     });
-    let classes = layers
-        .classes
-        .as_ref()
-        .map(|classes| apply_nearest(alignment, width, height, classes, u16::MAX));
+    let classes = layers.classes.as_ref().map(|classes| {
+        runs("classes");
+        apply_nearest(alignment, width, height, classes, u16::MAX)
+    });
     Some(set.classify(&compared.truth, ground.as_ref(), classes.as_deref(), pixel_m))
 }
 
@@ -178,6 +181,7 @@ pub fn score(
     if errors.values.is_empty() {
         return Err("no pixel has both a prediction and a ground truth".into());
     }
+    runs("sums");
     let mut sums = ErrorSums::new(thresholds.len());
     sums.add(&errors.values, thresholds);
     let quantiles = Quantiles::of(&errors.values, &mut Vec::new());

@@ -44,18 +44,6 @@ pub fn resolve(options: &InferOptions, inputs: &Inputs<'_>) -> Plan {
     }
 }
 
-fn step(id: &str, on: bool, form: impl Into<String>, [cost, cause, reason]: [&str; 3]) -> Step {
-    Step {
-        id: id.into(),
-        on,
-        form: form.into(),
-        bound: Bound::EXACT,
-        cost: cost.into(),
-        cause: cause.into(),
-        reason: reason.into(),
-    }
-}
-
 fn network_steps(options: &InferOptions, inputs: &Inputs<'_>) -> Vec<Step> {
     let on = inputs.pictures;
     let why = |reason: &'static str| if on { reason } else { "the inputs are scenes already" };
@@ -67,7 +55,7 @@ fn network_steps(options: &InferOptions, inputs: &Inputs<'_>) -> Vec<Step> {
     let precision = precision_step(inputs.execution, &options.compute);
     let how = precision.form.clone();
     vec![
-        step(
+        Step::exact(
             "decode",
             on,
             "RGB, 8 bits",
@@ -82,14 +70,14 @@ fn network_steps(options: &InferOptions, inputs: &Inputs<'_>) -> Vec<Step> {
                 "checked per image: more than {} % beside {TRAINING_WIDTH_M} m is flagged, nothing is resampled",
                 100.0 * GROUND_TOLERANCE
             ),
-            ..step(
+            ..Step::exact(
                 "ground-size",
                 true,
                 ground,
                 ["none", "the network knows no scale but that of its training", ""],
             )
         },
-        step(
+        Step::exact(
             "resize",
             on,
             format!("{side} x {side}, bicubic in fixed point"),
@@ -99,28 +87,20 @@ fn network_steps(options: &InferOptions, inputs: &Inputs<'_>) -> Vec<Step> {
                 why("bit-equal to Pillow's, which the weights were trained with"),
             ],
         ),
-        step(
-            "encoder",
+        Step::exact(
+            "network",
             on,
-            how.clone(),
+            how,
             [
-                "165 GFLOP per image (released network)",
+                "165 GFLOP of the encoder and 981 of the decoder per image (released network)",
                 "every output needs the field",
-                why("in fp32 tokens within 1e-5 of the reference, relative, by the parity tests"),
-            ],
-        ),
-        step(
-            "decoder",
-            on,
-            how.clone(),
-            [
-                "981 GFLOP per image (released network)",
-                "every output needs the field",
-                why("in fp32 planes within 3e-5 of the reference, relative, by the parity tests"),
+                why(
+                    "in fp32 tokens within 1e-5 of the reference, planes within 3e-5, relative, by the parity tests",
+                ),
             ],
         ),
         precision,
-        step(
+        Step::exact(
             "fold",
             true,
             "first layer of the point head into the texels",
@@ -139,7 +119,7 @@ fn effect_steps(options: &InferOptions, light: Option<&Illumination>) -> Vec<Ste
     let (colour, sky, sharp) =
         (outputs.needs_colour(), outputs.needs_sky(), outputs.needs_super_resolution());
     vec![
-        step(
+        Step::exact(
             "colour",
             colour,
             "two linear maps folded into one",
@@ -149,7 +129,7 @@ fn effect_steps(options: &InferOptions, light: Option<&Illumination>) -> Vec<Ste
                 why(colour, "heights need density alone; its layers are not evaluated"),
             ],
         ),
-        step(
+        Step::exact(
             "sky",
             sky,
             light
@@ -160,7 +140,7 @@ fn effect_steps(options: &InferOptions, light: Option<&Illumination>) -> Vec<Ste
                 why(sky, "no ray of these outputs leaves the scene; its weights are not read"),
             ],
         ),
-        step(
+        Step::exact(
             "super-resolution",
             sharp,
             "2 x",
@@ -224,28 +204,28 @@ fn height_steps(options: &InferOptions) -> Vec<Step> {
             bound: Bound::vertical(rms_m),
             cost: format!("{gflop:.0} GFLOP per DSM, before folding"),
             reason,
-            ..step(
+            ..Step::exact(
                 "rays",
                 on || views,
                 format!("{name}, {coarse} + {fine} samples"),
                 ["", "the surface is an integral along a ray", ""],
             )
         },
-        step(
+        Step::exact(
             "depth",
             on || outputs.views.depth,
             depth,
             ["none", "rays that the scene does not stop wholly", depth_reason],
         ),
-        step(
+        Step::exact(
             "vertical-scale",
-            on || views || outputs.mesh.is_some() || outputs.density.is_some(),
+            true,
             scale,
             ["none", "the cube has no height of its own: a convention, no error", scale_reason],
         ),
         Step {
             bound: Bound::vertical(if on { storage_m } else { 0.0 }),
-            ..step(
+            ..Step::exact(
                 "storage",
                 on,
                 "f32",
@@ -259,19 +239,19 @@ fn output_steps(options: &InferOptions) -> Vec<Step> {
     let outputs = &options.outputs;
     let asked = |on: bool| if on { "asked for" } else { "not asked for" };
     vec![
-        step(
+        Step::exact(
             "npz",
             outputs.dsm,
             format!("arr_0, {0} x {0}", options.size),
             ["3 arrays per image", "numpy and sat3d eval read it", asked(outputs.dsm)],
         ),
-        step(
+        Step::exact(
             "geotiff",
             outputs.geotiff,
             "COG on the image's footprint",
             ["one file per image", "GIS software reads it", asked(outputs.geotiff)],
         ),
-        step(
+        Step::exact(
             "scene",
             outputs.scene,
             "safetensors",
@@ -281,7 +261,7 @@ fn output_steps(options: &InferOptions) -> Vec<Step> {
                 asked(outputs.scene),
             ],
         ),
-        step(
+        Step::exact(
             "mesh",
             outputs.mesh.is_some(),
             outputs.mesh.as_ref().map_or_else(
@@ -301,7 +281,7 @@ fn output_steps(options: &InferOptions) -> Vec<Step> {
                 asked(outputs.mesh.is_some()),
             ],
         ),
-        step(
+        Step::exact(
             "density",
             outputs.density.is_some(),
             outputs.density.as_ref().map_or_else(

@@ -13,6 +13,7 @@ use crate::model::render::{DepthKind, Dsm, LEAST_OPACITY, exact_scale};
 use crate::model::scene::{SceneParts, SkyParts};
 use crate::model::{Image8, Model, Scene};
 use crate::picture;
+use crate::plan::runs;
 use crate::weights::Identity;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
@@ -100,10 +101,13 @@ impl Workshop<'_> {
         if let Some(dsm) = &dsm {
             let heights = Heights { dsm, metres_per_unit: 2.0 * unit_m };
             self.describe(record, &heights);
+            runs("storage");
             if self.options.outputs.dsm {
+                runs("npz");
                 files.extend(self.npz(&heights, &entry.stem));
             }
             if self.options.outputs.geotiff {
+                runs("geotiff");
                 files.extend(self.geotiff(&heights, &footprint, &entry.stem, &mut record.flags));
             }
         }
@@ -131,13 +135,23 @@ impl Workshop<'_> {
                     let model = self.model.ok_or("a picture needs --weights")?;
                     let sky = self.options.outputs.needs_sky().then(|| self.sky()).transpose()?;
                     record.light = self.light.map(|light| light.origin.clone());
+                    for id in ["resize", "network", "precision"] {
+                        runs(id);
+                    }
                     let scene = model.scene(&image, sky, unit_m).map_err(|e| e.to_string())?;
                     (scene, Some(image))
                 }
             };
+            // The field of every scene is folded when the scene is made.
+            runs("fold");
+            runs("vertical-scale");
             let size = self.options.size as usize;
             let heights = self.options.outputs.needs_heights();
-            let dsm = heights.then(|| scene.dsm(size, &self.options.render));
+            let dsm = heights.then(|| {
+                runs("rays");
+                runs("depth");
+                scene.dsm(size, &self.options.render)
+            });
             let subject = Subject { scene: &scene, image: image.as_ref(), footprint, unit_m, stem };
             self.renders(&subject, record, files)?;
             Ok(Computed::Done(dsm))
@@ -147,6 +161,7 @@ impl Workshop<'_> {
     /// The sky of this run.
     fn sky(&self) -> Result<SkyParts, String> {
         let compute = || {
+            runs("sky");
             let (Some(model), Some(light)) = (self.model, self.light) else {
                 return Err("street views of this scene need its sky: say --weights".to_owned());
             };
@@ -161,6 +176,10 @@ impl Workshop<'_> {
         let stored = scene.parts().sky.is_some() && self.options.illumination.is_none();
         let needed = self.options.outputs.needs_sky();
         let new_sky = needed && !stored;
+        if needed {
+            // The scene's own, or one that is computed.
+            runs("sky");
+        }
         if !needed {
             record.light = None;
         } else if new_sky {
@@ -187,6 +206,7 @@ impl Workshop<'_> {
         let placed = picture.place().is_some();
         record.flags.extend(picture.warnings().iter().cloned());
         self.describe_ground(record, &footprint, placed)?;
+        runs("decode");
         let image = picture.read().map_err(|error| error.to_string())?;
         let scale = self.model.map_or(1.0, |model| model.config.scale);
         Ok((Source::Image(image), footprint, scale))
@@ -239,6 +259,7 @@ impl Workshop<'_> {
         footprint: &Footprint,
         placed: bool,
     ) -> Result<(), String> {
+        runs("ground-size");
         let from = match (self.options.gsd_m, placed) {
             (Some(_), _) => GroundFrom::Option,
             (None, true) => GroundFrom::Place,

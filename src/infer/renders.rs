@@ -8,9 +8,10 @@ use crate::batch::OutputFile;
 use crate::footprint::Footprint;
 use crate::grid::LonLat;
 use crate::mesh_file::{self, MeshGeoreference};
-use crate::model::mesh::{MeshLattice, MeshOptions};
+use crate::model::mesh::{MeshColor, MeshLattice, MeshOptions};
 use crate::model::render::{Border, DensityGrid, Lattice, ReferenceGrid, exact_scale};
 use crate::model::{Image8, Scene};
+use crate::plan::runs;
 use crate::views::{self, ViewContext};
 use crate::volume::{self, Axes, Frame, VolumeDescription, VolumeError, ZarrVolume};
 use std::io::ErrorKind;
@@ -66,6 +67,7 @@ impl Workshop<'_> {
     ) -> Result<(), String> {
         let outputs = &self.options.outputs;
         if outputs.scene {
+            runs("scene");
             files.extend(self.scene(
                 subject.scene,
                 subject.footprint,
@@ -85,6 +87,9 @@ impl Workshop<'_> {
             };
             let pictures = views::render(&outputs.views, &context).map_err(|e| e.to_string())?;
             files.extend(pictures.into_iter().map(|file| (file.path, file.bytes)));
+        }
+        if outputs.density.is_some() {
+            runs("density");
         }
         match outputs.density {
             Some(VolumeRequest { format: VolumeFormat::Npy, lattice }) => {
@@ -183,6 +188,10 @@ fn axes(grid: &DensityGrid, subject: &Subject<'_>) -> Result<(Axes, Frame), Stri
 }
 
 fn mesh(request: &MeshRequest, subject: &Subject<'_>) -> Result<Vec<NamedBytes>, String> {
+    runs("mesh");
+    if request.color == MeshColor::Field {
+        runs("colour");
+    }
     let across_m = subject.across_m();
     let options = MeshOptions {
         isovalue: request.isovalue,

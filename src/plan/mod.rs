@@ -2,13 +2,17 @@
 //! error, its cost and its cause, side by side; a [`Plan`] is resolved from them before work starts.
 //!
 //! A plan is a plain value: `--explain` prints it, its hash goes into the manifest, and the run
-//! executes what it says and nothing else.
+//! executes what it says and nothing else. To hold it to that, each place in the code that carries
+//! a step out says so by [`runs`]; `--log sat3d::plan=trace` prints what was said, and tests compare
+//! it with the steps that are on.
 
 pub(crate) mod network;
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
+use std::sync::{Mutex, PoisonError};
 
 /// Bounds on the error that a step makes, position and height apart.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -57,6 +61,43 @@ pub struct Step {
     pub reason: String,
 }
 
+impl Step {
+    /// A step that makes no error in position or height of its own.
+    pub(crate) fn exact(
+        id: &str,
+        on: bool,
+        form: impl Into<String>,
+        [cost, cause, reason]: [&str; 3],
+    ) -> Self {
+        Self {
+            id: id.into(),
+            on,
+            form: form.into(),
+            bound: Bound::EXACT,
+            cost: cost.into(),
+            cause: cause.into(),
+            reason: reason.into(),
+        }
+    }
+}
+
+/// Says that the step `id` of the plan is carried out here: once in the life of the program, however
+/// often it is. Costs a comparison where nobody listens.
+#[inline]
+pub fn runs(id: &str) {
+    if tracing::enabled!(target: "sat3d::plan", tracing::Level::TRACE) {
+        say_once(id);
+    }
+}
+
+#[cold]
+fn say_once(id: &str) {
+    static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+    if SAID.lock().unwrap_or_else(PoisonError::into_inner).insert(id.to_owned()) {
+        tracing::trace!(target: "sat3d::plan", "step {id}");
+    }
+}
+
 /// A resolved plan: parameters that decide the bytes of the output, and the steps that run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Plan {
@@ -98,6 +139,17 @@ impl Plan {
     #[must_use]
     pub fn step(&self, id: &str) -> Option<&Step> {
         self.steps.iter().find(|s| s.id == id)
+    }
+
+    /// Whether the step with an id runs; one that the plan does not name does not. The place that asks
+    /// is the one that carries it out: a step that runs is reported by [`runs`].
+    #[must_use]
+    pub fn runs(&self, id: &str) -> bool {
+        let on = self.steps.iter().any(|step| step.id == id && step.on);
+        if on {
+            runs(id);
+        }
+        on
     }
 
     /// The table that `--explain` prints; the dominating terms are marked with `*`.
@@ -174,13 +226,8 @@ mod tests {
 
     fn plan() -> Plan {
         let step = |id: &str, h: f64| Step {
-            id: id.into(),
-            on: true,
-            form: "exact".into(),
             bound: Bound::horizontal(h),
-            cost: "none".into(),
-            cause: "always".into(),
-            reason: "default".into(),
+            ..Step::exact(id, true, "exact", ["none", "always", "default"])
         };
         Plan {
             command: "test".into(),

@@ -3,10 +3,10 @@
 
 use super::error::SceneError;
 use super::frame::Frame;
-use super::spec::SceneSpec;
+use super::spec::{ImageColours, SceneSpec};
 use super::terrain::Terrain;
 use crate::grid::WGS84_A;
-use crate::plan::{Bound, Plan, Step};
+use crate::plan::{Bound, Plan, Step, runs};
 use crate::units::Metres;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -139,6 +139,16 @@ impl Effects {
     pub fn on(&self, effect: Effect) -> bool {
         self.0.contains(&effect)
     }
+
+    /// [`Self::on`], asked by the place that simulates it: the plan is held to what it says.
+    #[must_use]
+    pub fn runs(&self, effect: Effect) -> bool {
+        let on = self.on(effect);
+        if on {
+            runs(effect.id());
+        }
+        on
+    }
 }
 
 /// Bounds on the heights of a scene, known before anything is laid out.
@@ -191,6 +201,8 @@ struct Case {
     effect: Effect,
     /// Whether the scene has the cause at all, and the cause in words.
     present: bool,
+    /// Whether the scene says enough to simulate it, with the cause or without.
+    possible: bool,
     cause: String,
     form: &'static str,
     /// Error of leaving it out.
@@ -220,12 +232,13 @@ pub fn resolve(
         let forced = options.force.contains(&case.effect);
         let banned = options.without.contains(&case.effect);
         let wanted = case.present && (case.always || size > options.tolerance.0);
-        let runs = !banned && (forced || wanted);
+        let runs = !banned && case.possible && (forced || wanted);
         if runs {
             on.insert(case.effect);
         }
         let reason = match (runs, forced, banned, case.present) {
             (_, _, true, _) => "left out by --without".to_owned(),
+            (false, true, ..) => "--force finds nothing in the scene to simulate".to_owned(),
             (true, true, ..) => "asked for by --force".to_owned(),
             (_, _, _, false) => "the scene has no cause for it".to_owned(),
             (true, ..) if case.always => "the scene asks for it".to_owned(),
@@ -247,6 +260,7 @@ pub fn resolve(
         });
     }
     steps.push(units_step(heights.highest));
+    steps.extend(picture_steps(spec));
     let mut parameters = serde_json::Map::new();
     parameters.insert("scene".to_owned(), serde_json::to_value(spec).unwrap_or_default());
     parameters.insert("force".to_owned(), serde_json::json!(options.force));
@@ -272,6 +286,40 @@ fn projection_step() -> Step {
     }
 }
 
+/// What becomes of a finished picture. No height depends on it.
+fn picture_steps(spec: &SceneSpec) -> [Step; 3] {
+    let why = |on: bool, table: &str| {
+        if on { "the scene asks for it".to_owned() } else { format!("no {table}") }
+    };
+    let palette = spec.images.colours == ImageColours::Palette;
+    let step = |id: &str, on: bool, form: &str, cost: &str, cause: &str| {
+        Step::exact(id, on, form, [cost, cause, &why(on, cause)])
+    };
+    [
+        step(
+            "camera",
+            spec.camera.is_some(),
+            "haze, white balance, contrast, blur, sharpening",
+            "two passes over the picture",
+            "[camera] table",
+        ),
+        step(
+            "palette",
+            palette,
+            "256 colours by median cut",
+            "one sort of the picture's colours",
+            "images.colours = \"palette\"",
+        ),
+        step(
+            "picture",
+            spec.picture.is_some(),
+            "GeoTIFF of the whole extent, and its heights",
+            "as the images, over the whole extent",
+            "[picture] table",
+        ),
+    ]
+}
+
 fn units_step(highest_m: f64) -> Step {
     // Half a step of a 32-bit float at the highest value, in feet.
     let feet = (highest_m / crate::units::US_SURVEY_FOOT_M) as f32;
@@ -294,6 +342,7 @@ fn cases(spec: &SceneSpec, frame: &Frame, terrain: &Terrain, heights: &HeightBou
     cases.push(Case {
         effect: Effect::SensorNoise,
         present: spec.images.sensor_noise_levels > 0.0,
+        possible: spec.images.sensor_noise_levels > 0.0,
         cause: format!("images.sensor_noise_levels = {}", spec.images.sensor_noise_levels),
         form: "normal, per pixel and colour",
         bound: Bound::EXACT,
@@ -337,6 +386,8 @@ fn geometry_cases(
         ),
     };
     let scale = (frame.scale() - 1.0).abs();
+    // Light that comes from somewhere, or a satellite that stands somewhere.
+    let lit = spec.sun.is_some() || spec.view.is_some();
     // Over the scene the convergence changes by the longitude times the cone's constant (< 1).
     let turn_over_scene = reach(spec) / WGS84_A * 1.2;
     let steepest = terrain.steepest(reach(spec));
@@ -344,6 +395,7 @@ fn geometry_cases(
         Case {
             effect: Effect::Datum,
             present: true,
+            possible: true,
             cause: "images are WGS 84, lidar is NAD83(HARN)".to_owned(),
             form: "7-parameter shift as PROJ defines it",
             bound: Bound::horizontal(frame.datum_shift_m()),
@@ -354,6 +406,7 @@ fn geometry_cases(
         Case {
             effect: Effect::Convergence,
             present: longest > 0.0,
+            possible: lit,
             cause: format!("{sky}; true north is {:.2} deg off", frame.convergence().to_degrees()),
             form: "one angle for the scene",
             bound: Bound::horizontal(longest * frame.convergence().abs()),
@@ -364,6 +417,7 @@ fn geometry_cases(
         Case {
             effect: Effect::GridScale,
             present: longest > 0.0,
+            possible: lit,
             cause: format!("{sky}; scale of the projection {:.6}", frame.scale()),
             form: "one factor for the scene",
             bound: Bound::horizontal(longest * scale),
@@ -374,6 +428,7 @@ fn geometry_cases(
         Case {
             effect: Effect::Shadows,
             present: spec.sun.is_some(),
+            possible: spec.sun.is_some(),
             cause: format!("{sky}; shadows up to {shadow:.1} m long"),
             form: "one ray per sample",
             bound: Bound::horizontal(shadow),
@@ -384,6 +439,7 @@ fn geometry_cases(
         Case {
             effect: Effect::TerrainShadows,
             present: spec.sun.is_some() && steepest >= tan_sun,
+            possible: spec.sun.is_some(),
             cause: format!("{sky}; ground up to {steepest:.2} m per metre steep"),
             form: "ray march in steps of 2 m, refined",
             bound: Bound::horizontal(heights.ground_range / tan_sun),
@@ -394,6 +450,7 @@ fn geometry_cases(
         Case {
             effect: Effect::Curvature,
             present: shadow > 0.0,
+            possible: spec.sun.is_some(),
             cause: format!(
                 "{sky}; a ray of {shadow:.1} m rises {drop:.1e} m over the level surface"
             ),
@@ -406,6 +463,7 @@ fn geometry_cases(
         Case {
             effect: Effect::Relief,
             present: lean > 0.0,
+            possible: spec.view.is_some(),
             cause: format!("{sky}; roofs lean up to {lean:.2} m"),
             form: "exact line of sight per sample",
             bound: Bound::horizontal(lean),
@@ -424,6 +482,7 @@ fn epoch_cases(spec: &SceneSpec, heights: &HeightBounds) -> Vec<Case> {
         Case {
             effect: Effect::Season,
             present: spec.seasons_differ(),
+            possible: spec.seasons_differ(),
             cause: format!("lidar in {:?}, images in {:?}", spec.lidar.season, spec.images.season)
                 .to_lowercase(),
             form: "bare crowns let pulses and light through",
@@ -435,6 +494,7 @@ fn epoch_cases(spec: &SceneSpec, heights: &HeightBounds) -> Vec<Case> {
         Case {
             effect: Effect::Change,
             present: changes,
+            possible: changes,
             cause: match &spec.change {
                 Some(_) => format!("{years} years between lidar and images"),
                 None => "no [change] table".to_owned(),
@@ -455,6 +515,7 @@ fn lidar_cases(spec: &SceneSpec, heights: &HeightBounds) -> Vec<Case> {
         Case {
             effect: Effect::AreaSampling,
             present: spec.samples_areas(),
+            possible: spec.samples_areas(),
             cause: format!("lidar.sampling = {:?}", l.sampling).to_lowercase(),
             form: "mean of 4 x 4 points",
             bound: Bound::vertical(heights.above_ground),
@@ -465,6 +526,7 @@ fn lidar_cases(spec: &SceneSpec, heights: &HeightBounds) -> Vec<Case> {
         Case {
             effect: Effect::CrownPenetration,
             present: l.crown_penetration_share > 0.0,
+            possible: l.crown_penetration_share > 0.0,
             cause: format!("lidar.crown_penetration_share = {}", l.crown_penetration_share),
             form: "per cell",
             bound: Bound::vertical(spec.trees.height_metres),
@@ -475,6 +537,7 @@ fn lidar_cases(spec: &SceneSpec, heights: &HeightBounds) -> Vec<Case> {
         Case {
             effect: Effect::Noise,
             present: l.noise_sigma_metres > 0.0,
+            possible: l.noise_sigma_metres > 0.0,
             cause: format!("lidar.noise_sigma_metres = {}", l.noise_sigma_metres),
             form: "normal per cell, cut at 4 sigma",
             bound: Bound::vertical(4.0 * l.noise_sigma_metres),
@@ -485,6 +548,7 @@ fn lidar_cases(spec: &SceneSpec, heights: &HeightBounds) -> Vec<Case> {
         Case {
             effect: Effect::MissingPulses,
             present: l.missing_pulse_share > 0.0,
+            possible: l.missing_pulse_share > 0.0,
             cause: format!("lidar.missing_pulse_share = {}", l.missing_pulse_share),
             form: "nodata per cell",
             bound: Bound::EXACT,
@@ -495,6 +559,7 @@ fn lidar_cases(spec: &SceneSpec, heights: &HeightBounds) -> Vec<Case> {
         Case {
             effect: Effect::Gaps,
             present: l.gap_count > 0 && l.gap_width_metres > 0.0,
+            possible: l.gap_count > 0 && l.gap_width_metres > 0.0,
             cause: format!("lidar.gap_count = {}", l.gap_count),
             form: "nodata in strips",
             bound: Bound::EXACT,

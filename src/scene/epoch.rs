@@ -31,10 +31,10 @@ impl Change {
     #[must_use]
     pub fn new(spec: &SceneSpec, effects: &Effects) -> Self {
         let years = spec.years_apart();
-        let change = spec.change.filter(|_| effects.on(Effect::Change) && years > 0.0);
+        let change = spec.change.filter(|_| effects.runs(Effect::Change) && years > 0.0);
         let share = |rate: f64| (rate * years).min(1.0);
         let images = spec.images.season;
-        let lidar = if effects.on(Effect::Season) { spec.lidar.season } else { images };
+        let lidar = if effects.runs(Effect::Season) { spec.lidar.season } else { images };
         Self {
             seed: spec.seed,
             built: change.map_or(0.0, |c| share(c.built_share_per_year)),

@@ -12,6 +12,7 @@ use super::spec::{TileCompression, TileSpec, TileStorage};
 use super::surface::Scene;
 use crate::batch::{Interrupt, Progress};
 use crate::grid::GeoTransform;
+use crate::plan::runs;
 use crate::random::{Draw, key, normal, unit};
 use crate::raster::geotiff::{Compression, GeoTiffSpec, GeoTiffWriter, Layout};
 use crate::units::{LinearUnit, US_SURVEY_FOOT_M};
@@ -137,15 +138,15 @@ impl<'a> Survey<'a> {
     #[must_use]
     pub fn new(scene: &'a Scene) -> Self {
         let (lidar, extent) = (&scene.spec.lidar, &scene.spec.extent);
-        let when = |effect, value: f64| if scene.effects.on(effect) { value } else { 0.0 };
-        let gaps = if scene.effects.on(Effect::Gaps) { lidar.gap_count } else { 0 };
+        let when = |effect, value: f64| if scene.effects.runs(effect) { value } else { 0.0 };
+        let gaps = if scene.effects.runs(Effect::Gaps) { lidar.gap_count } else { 0 };
         Self {
             scene,
             cell_m: scene.spec.tiles.pixel_feet * US_SURVEY_FOOT_M,
             noise_m: when(Effect::Noise, lidar.noise_sigma_metres),
             missing: when(Effect::MissingPulses, lidar.missing_pulse_share),
             penetration: when(Effect::CrownPenetration, lidar.crown_penetration_share),
-            area: scene.effects.on(Effect::AreaSampling) && scene.spec.samples_areas(),
+            area: scene.effects.runs(Effect::AreaSampling) && scene.spec.samples_areas(),
             gaps: (0..gaps)
                 .map(|k| {
                     let mut draw = Draw::new(&[scene.spec.seed, purpose::GAPS, u64::from(k)]);
@@ -214,6 +215,7 @@ impl<'a> Survey<'a> {
     /// Rows of a tile as they are stored: US survey feet, the nodata value where there is no height.
     #[must_use]
     pub fn rows(&self, layer: Layer, tile: &Tile, rows: std::ops::Range<u32>) -> Vec<f32> {
+        runs("units");
         let nodata = self.scene.spec.tiles.nodata as f32;
         let width = tile.width as usize;
         let mut out = vec![0.0_f32; width * rows.len()];

@@ -28,6 +28,7 @@ pub fn encode(
             rgb
         }
         ImageColours::Palette => {
+            crate::plan::runs("palette");
             let palette = Palette::of(&[rgb]);
             indexed = palette.indices(rgb);
             encoder.set_color(png::ColorType::Indexed);

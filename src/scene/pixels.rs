@@ -3,6 +3,7 @@
 use super::error::SceneError;
 use super::frame::Frame;
 use crate::grid::{ImageGrid, LonLat, PixelPoint};
+use crate::plan::runs;
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -36,6 +37,7 @@ impl PixelPositions {
         margin: usize,
         lonlat: impl Fn(PixelPoint) -> LonLat + Sync,
     ) -> Result<Self, SceneError> {
+        runs("projection");
         let (width, height) = (columns.len() + 2 * margin, rows.len() + 2 * margin);
         let (west, north) =
             (f64::from(columns.start) - margin as f64, f64::from(rows.start) - margin as f64);

@@ -14,6 +14,7 @@ use super::solid::Face;
 use super::surface::Scene;
 use super::terrain::Ground;
 use super::world::Seen;
+use crate::plan::runs;
 use crate::random::{key, normal};
 use rayon::prelude::*;
 
@@ -63,6 +64,9 @@ impl Scene {
         let (margin, halo) = (pixels.margin(), sheet.halo);
         let [width, height] = pixels.size().map(|n| n - 2 * margin);
         let [across, down] = [width, height].map(|n| n + 2 * halo);
+        if self.spec.camera.is_some() {
+            runs("camera");
+        }
         let light = self.light();
         let samples: Vec<Sight> = (0..down)
             .into_par_iter()
@@ -76,7 +80,7 @@ impl Scene {
         // Offsets of the extra samples in pixels: with the centre a rotated grid.
         let extra = [(-0.375, -0.125), (0.125, -0.375), (0.375, 0.25), (-0.2, 0.375)]
             .map(|(i, j)| [0, 1].map(|k| i * to_right[k] + j * to_below[k]));
-        let noise = if self.effects.on(Effect::SensorNoise) {
+        let noise = if self.effects.runs(Effect::SensorNoise) {
             self.spec.images.sensor_noise_levels
         } else {
             0.0
@@ -138,7 +142,7 @@ impl Scene {
         let ground = self.terrain.at(p[0], p[1]);
         let world = self.world(Epoch::Image);
         let on_ground = Seen { solid: None, face: Face::Top(0), at: [p[0], p[1], ground.z] };
-        let seen = if self.effects.on(Effect::Relief) {
+        let seen = if self.effects.runs(Effect::Relief) {
             world.seen(on_ground.at, self.lean)
         } else {
             match world.top(p[0], p[1], |_| true) {
@@ -206,8 +210,8 @@ impl Scene {
     }
 
     fn in_shadow(&self, from: [f64; 3], sun: &super::world::SunRay) -> bool {
-        (self.effects.on(Effect::Shadows) && self.world(Epoch::Image).shadowed(from, sun))
-            || (self.effects.on(Effect::TerrainShadows) && self.terrain_shadowed(from, sun))
+        (self.effects.runs(Effect::Shadows) && self.world(Epoch::Image).shadowed(from, sun))
+            || (self.effects.runs(Effect::TerrainShadows) && self.terrain_shadowed(from, sun))
     }
 }
 

@@ -65,7 +65,7 @@ impl Scene {
         let frame = Frame::new(place, spec.tiles.pixel_feet, true)?;
         let terrain = Terrain::new(&spec);
         let (effects, plan) = resolve(&spec, options, &frame, &terrain)?;
-        let frame = if effects.on(Effect::Datum) {
+        let frame = if effects.runs(Effect::Datum) {
             frame
         } else {
             Frame::new(place, spec.tiles.pixel_feet, false)?
@@ -170,13 +170,13 @@ impl Scene {
 
 /// The unit vector in the grid of a direction given clockwise from true north.
 fn grid_direction(azimuth_degrees: f64, frame: &Frame, effects: &Effects) -> [f64; 2] {
-    let turn = if effects.on(Effect::Convergence) { frame.convergence() } else { 0.0 };
+    let turn = if effects.runs(Effect::Convergence) { frame.convergence() } else { 0.0 };
     let (sin, cos) = libm::sincos(azimuth_degrees.to_radians() + turn);
     [sin, cos]
 }
 
 fn grid_scale(frame: &Frame, effects: &Effects) -> f64 {
-    if effects.on(Effect::GridScale) { frame.scale() } else { 1.0 }
+    if effects.runs(Effect::GridScale) { frame.scale() } else { 1.0 }
 }
 
 fn sun_ray(spec: &SceneSpec, frame: &Frame, effects: &Effects) -> Option<SunRay> {
@@ -189,12 +189,12 @@ fn sun_ray(spec: &SceneSpec, frame: &Frame, effects: &Effects) -> Option<SunRay>
     };
     let level_grid = level * grid_scale(frame, effects);
     let curvature =
-        if effects.on(Effect::Curvature) { level * level / (2.0 * WGS84_A) } else { 0.0 };
+        if effects.runs(Effect::Curvature) { level * level / (2.0 * WGS84_A) } else { 0.0 };
     Some(SunRay { step: [east * level_grid, north * level_grid, up], curvature })
 }
 
 fn view_lean(spec: &SceneSpec, frame: &Frame, effects: &Effects) -> [f64; 2] {
-    let Some(view) = spec.view.filter(|_| effects.on(Effect::Relief)) else { return [0.0, 0.0] };
+    let Some(view) = spec.view.filter(|_| effects.runs(Effect::Relief)) else { return [0.0, 0.0] };
     let tan = libm::tan(view.off_nadir_degrees.to_radians()) * grid_scale(frame, effects);
     grid_direction(view.azimuth_degrees, frame, effects).map(|d| d * tan)
 }

@@ -245,6 +245,7 @@ pub fn write(
     quiet: bool,
     interrupt: &Interrupt,
 ) -> Result<(), SceneError> {
+    crate::plan::runs("picture");
     let truth = truth_grid(scene, grid);
     let rows = (grid.size[1] + truth.size[1]) as usize;
     let progress = Progress::new("picture", "rows", rows, quiet);

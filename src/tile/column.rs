@@ -10,6 +10,7 @@
 use super::city::{City, Levels};
 use crate::model::render::LEAST_OPACITY;
 use crate::model::render::quadrature::{CellRoom, cells};
+use crate::plan::runs;
 use pulp::Arch;
 use rayon::prelude::*;
 
@@ -41,6 +42,8 @@ impl ColumnIntegral {
     /// a density is NaN.
     #[must_use]
     pub fn heights(&self, densities: &[f32]) -> Vec<f32> {
+        runs("column-integral");
+        runs("vertical-scale");
         let levels = self.edges.len() - 1;
         let columns: Vec<&[f32]> = densities.chunks_exact(levels).collect();
         columns

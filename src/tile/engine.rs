@@ -8,6 +8,7 @@ use super::sums::{Columns, Sums};
 use crate::batch::Interrupt;
 use crate::model::Image8;
 use crate::model::render::DensityGrid;
+use crate::plan::runs;
 use std::io;
 use std::ops::Range;
 use std::path::Path;
@@ -106,6 +107,7 @@ impl Engine<'_> {
         let [_, width] = self.city.lines_across();
         let levels = self.city.levels.z.len();
         let open = WINDOW.min(lines.len() as u32);
+        runs("spill");
         let mut sums = match self.spill {
             None => Sums::in_memory(open, width, levels),
             Some(folder) => Sums::in_file(folder, open, width, levels)
@@ -157,6 +159,9 @@ impl Engine<'_> {
         if grid.shape() != expected {
             let reason = format!("densities of {:?} points, not {expected:?}", grid.shape());
             return Err(TileError::Window { x, y, reason });
+        }
+        if self.windows.iter().any(|axis| axis.all().len() > 1) {
+            runs("blend");
         }
         let columns = OfWindow { values: &grid.values, levels: expected[2], along, band, window };
         sums.add(lines, window.pixels.clone(), &columns).map_err(TileError::sums)

@@ -1,6 +1,8 @@
 //! The plan of a run: each step with its bound, cost and cause.
 
 use super::city::City;
+use super::dsm::DsmGrid;
+use super::finish::parse_srs;
 use super::layout::{AxisWindows, Blend, WINDOW};
 use super::network::TileLattice;
 use super::options::{TileOptions, TileOutputs};
@@ -54,24 +56,12 @@ pub fn resolve(options: &TileOptions, inputs: &Inputs<'_>) -> Plan {
     }
 }
 
-fn step(id: &str, on: bool, form: impl Into<String>, [cost, cause, reason]: [&str; 3]) -> Step {
-    Step {
-        id: id.into(),
-        on,
-        form: form.into(),
-        bound: Bound::EXACT,
-        cost: cost.into(),
-        cause: cause.into(),
-        reason: reason.into(),
-    }
-}
-
 fn picture_steps(inputs: &Inputs<'_>) -> Vec<Step> {
     let [columns, rows] = inputs.city.size;
     let same = inputs.city.size == inputs.picture;
     let [across, down] = inputs.city.gsd_m();
     vec![
-        step(
+        Step::exact(
             "ground-size",
             true,
             inputs.ground,
@@ -85,7 +75,7 @@ fn picture_steps(inputs: &Inputs<'_>) -> Vec<Step> {
                 },
             ],
         ),
-        step(
+        Step::exact(
             "resample",
             !same,
             format!("{columns} x {rows} model pixels, bicubic in fixed point"),
@@ -99,18 +89,24 @@ fn picture_steps(inputs: &Inputs<'_>) -> Vec<Step> {
                 },
             ],
         ),
+        Step::exact(
+            "spool",
+            true,
+            "model pixels on disk",
+            ["4 bytes per model pixel", "windows overlap", "the picture is read and decoded once"],
+        ),
         Step {
             reason: format!(
                 "one ground sample distance for the whole picture, {across:.4} x {down:.4} m, that of its centre"
             ),
-            ..step(
+            ..Step::exact(
                 "scale",
                 true,
                 "at the centre",
                 ["none", "Mercator's scale grows with latitude", ""],
             )
         },
-        step(
+        Step::exact(
             "no-data",
             inputs.masked,
             "windows without data left out, their columns empty",
@@ -132,7 +128,7 @@ fn window_steps(options: &TileOptions, inputs: &Inputs<'_>) -> Vec<Step> {
     vec![
         Step {
             cost: format!("1146 GFLOP per window (released network), {count} windows"),
-            ..step(
+            ..Step::exact(
                 "network",
                 true,
                 format!("{count} windows of {WINDOW}, every {} pixels", windows.stride),
@@ -148,7 +144,7 @@ fn window_steps(options: &TileOptions, inputs: &Inputs<'_>) -> Vec<Step> {
                     Bound::horizontal(inputs.city.gsd_m().into_iter().fold(0.0, f64::max))
                 }
             },
-            ..step(
+            ..Step::exact(
                 "densities",
                 true,
                 options.lattice.name(),
@@ -166,7 +162,7 @@ fn window_steps(options: &TileOptions, inputs: &Inputs<'_>) -> Vec<Step> {
                 ],
             )
         },
-        step(
+        Step::exact(
             "blend",
             overlap,
             match windows.blend {
@@ -179,7 +175,7 @@ fn window_steps(options: &TileOptions, inputs: &Inputs<'_>) -> Vec<Step> {
                 if overlap { "weights sum to one everywhere" } else { "a single window" },
             ],
         ),
-        step(
+        Step::exact(
             "trim",
             windows.trim > 0,
             format!("{} pixels of interior sides", windows.trim),
@@ -189,7 +185,7 @@ fn window_steps(options: &TileOptions, inputs: &Inputs<'_>) -> Vec<Step> {
                 if windows.trim > 0 { "--trim" } else { "the paper drops none" },
             ],
         ),
-        step(
+        Step::exact(
             "spill",
             true,
             "sums of open lines, in a file beyond --memory",
@@ -210,11 +206,15 @@ fn window_steps(options: &TileOptions, inputs: &Inputs<'_>) -> Vec<Step> {
 fn height_steps(options: &TileOptions, inputs: &Inputs<'_>) -> Vec<Step> {
     let unit_m = inputs.city.vertical_m;
     let dsm = inputs.outputs.dsm.as_ref();
-    let warp = dsm.and_then(|dsm| dsm.t_srs.clone());
+    let t_srs = dsm.and_then(|dsm| dsm.t_srs.as_deref());
+    // Checked before; the picture's own CRS needs no warp.
+    let crs = t_srs.and_then(|srs| parse_srs(srs).ok());
+    let warp =
+        t_srs.filter(|_| DsmGrid::new(inputs.city, crs.as_ref()).is_ok_and(|grid| !grid.is_own()));
     vec![
         Step {
             bound: Bound::vertical(COLUMN_MEAN * unit_m),
-            ..step(
+            ..Step::exact(
                 "column-integral",
                 true,
                 format!("{} cells, exact in each", inputs.city.levels.z.len()),
@@ -225,7 +225,7 @@ fn height_steps(options: &TileOptions, inputs: &Inputs<'_>) -> Vec<Step> {
                 ],
             )
         },
-        step(
+        Step::exact(
             "vertical-scale",
             true,
             format!("{unit_m:.4} m per cube unit"),
@@ -238,19 +238,29 @@ fn height_steps(options: &TileOptions, inputs: &Inputs<'_>) -> Vec<Step> {
                 },
             ],
         ),
-        step(
+        Step::exact(
             "warp",
             warp.is_some(),
-            warp.as_deref().map_or_else(|| "bilinear".to_owned(), |to| format!("bilinear to {to}")),
+            warp.map_or_else(|| "bilinear".to_owned(), |to| format!("bilinear to {to}")),
             [
                 "one projection and four heights per pixel",
                 "a CRS other than the picture's",
                 if warp.is_some() { "--t_srs" } else { "the DSM has the picture's own pixels" },
             ],
         ),
+        Step::exact(
+            "dsm",
+            dsm.is_some(),
+            if dsm.is_some_and(|dsm| dsm.preview) { "COG, hillshade as PNG" } else { "COG" },
+            [
+                "one file, in bands of rows; jumps at the borders of windows are measured",
+                "a height per model pixel",
+                if dsm.is_some() { "asked for" } else { "not asked for" },
+            ],
+        ),
         Step {
             bound: Bound::vertical(2.0 * unit_m * f64::from(f32::EPSILON) / 2.0),
-            ..step(
+            ..Step::exact(
                 "storage",
                 dsm.is_some(),
                 "f32",
@@ -272,7 +282,7 @@ fn surface_steps(options: &TileOptions, inputs: &Inputs<'_>) -> Vec<Step> {
     });
     let horizontal = mesh.and_then(|mesh| mesh.error_m).unwrap_or(0.0);
     vec![
-        step(
+        Step::exact(
             "surface",
             outputs.needs_surface(),
             format!("marching cubes at {}, slab by slab", options.isovalue),
@@ -284,7 +294,7 @@ fn surface_steps(options: &TileOptions, inputs: &Inputs<'_>) -> Vec<Step> {
         ),
         Step {
             bound: Bound { horizontal_m: horizontal, vertical_m: horizontal },
-            ..step(
+            ..Step::exact(
                 "simplify",
                 simplify.is_some(),
                 simplify.unwrap_or_else(|| "quadrics".to_owned()),
@@ -299,7 +309,7 @@ fn surface_steps(options: &TileOptions, inputs: &Inputs<'_>) -> Vec<Step> {
                 ],
             )
         },
-        step(
+        Step::exact(
             "colour",
             tiles.is_some() || mesh.is_some_and(|mesh| mesh.color != CityMeshColour::None),
             match mesh.map(|mesh| mesh.color) {
@@ -313,12 +323,22 @@ fn surface_steps(options: &TileOptions, inputs: &Inputs<'_>) -> Vec<Step> {
                 "the picture from above, on walls too",
             ],
         ),
+        Step::exact(
+            "mesh",
+            mesh.is_some(),
+            mesh.map_or("one file", |mesh| mesh.format.extension()),
+            [
+                "vertices in 32 bits about the city's centre",
+                "one surface to open elsewhere",
+                asked(mesh.is_some()),
+            ],
+        ),
         Step {
             bound: Bound {
                 horizontal_m: tiles.map_or(0.0, |tiles| tiles.error_m),
                 vertical_m: tiles.map_or(0.0, |tiles| tiles.error_m),
             },
-            ..step(
+            ..Step::exact(
                 "tiles3d",
                 tiles.is_some(),
                 tiles.map_or_else(
@@ -332,7 +352,7 @@ fn surface_steps(options: &TileOptions, inputs: &Inputs<'_>) -> Vec<Step> {
                 ],
             )
         },
-        step(
+        Step::exact(
             "volume",
             outputs.density.is_some(),
             "Zarr v3, chunks of 64 x 64 x 64",

@@ -49,6 +49,9 @@ impl Job {
     /// [`super::layout::LayoutError`].
     pub fn axis_windows(&self) -> Result<[AxisWindows; 2], TileError> {
         let [columns, rows] = self.city.size;
+        if self.windows.trim > 0 {
+            crate::plan::runs("trim");
+        }
         Ok([AxisWindows::new(columns, &self.windows)?, AxisWindows::new(rows, &self.windows)?])
     }
 }

@@ -9,6 +9,7 @@ use crate::model::render::{
     Border, DensityGrid, Lattice, ReferenceGrid, density_grid, exact_scale, reference_grid,
 };
 use crate::model::{Image8, Model};
+use crate::plan::runs;
 use serde::{Deserialize, Serialize};
 use std::io;
 use std::ops::Range;
@@ -85,9 +86,12 @@ pub struct NetworkWindows<'a> {
 
 impl WindowModel for NetworkWindows<'_> {
     fn densities(&self, picture: &Image8, _start: [i64; 2]) -> Result<DensityGrid, String> {
+        runs("network");
+        runs("precision");
         let inputs = self.model.field_inputs(picture).map_err(|error| error.to_string())?;
         let field =
             Field::new(&inputs, &self.model.head, None).map_err(|error| error.to_string())?;
+        runs("densities");
         Ok(match self.lattice {
             TileLattice::Pixels => {
                 let scale = exact_scale(field.scale()) as f32;

@@ -25,7 +25,7 @@ use crate::batch::{
 };
 use crate::model::{Checkpoint, Model};
 use crate::picture::{self, Picture, ResampledPicture};
-use crate::plan::Plan;
+use crate::plan::{Plan, runs};
 use crate::weights::{self, Identity, Origin};
 use serde::Serialize;
 use serde_json::json;
@@ -102,6 +102,7 @@ pub fn prepare(mut options: TileOptions) -> Result<Prepared, TileError> {
     let ground =
         ground::model_size(picture.size(), picture.place(), options.gsd_m, options.window_gsd_m)
             .map_err(|source| TileError::Ground { path: options.input.clone(), source })?;
+    runs("ground-size");
     warnings.extend(ground.warnings.iter().cloned());
     if !options.outputs.any() {
         options.outputs = TileOutputs::of_stem(&stem_of(&options.input));
@@ -158,6 +159,7 @@ fn job(
     identity: &Identity,
 ) -> Result<Job, TileError> {
     let scale = model.config.scale;
+    runs("scale");
     let levels = options.lattice.levels(scale).map_err(TileError::Input)?;
     let [columns, rows] = ground.size;
     let mut city = City {
@@ -452,6 +454,13 @@ impl Prepared {
         }
         let picture: Picture = picture::open(&self.picture)?;
         let size = self.job.city.size;
+        runs("spool");
+        if picture.size() != size {
+            runs("resample");
+        }
+        if picture.has_mask() {
+            runs("no-data");
+        }
         let progress = Progress::new("resampling", "rows", size[1] as usize, options.quiet);
         let resampled = ResampledPicture::new(picture, size);
         let mut done = 0;

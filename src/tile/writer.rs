@@ -11,6 +11,7 @@ use super::surface::sink::SlabMesher;
 use super::surface::store;
 use super::volume::{VolumeSink, chunk_files};
 use crate::batch::{Journal, OutputFile, write_atomic};
+use crate::plan::runs;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -95,7 +96,10 @@ impl<'a> SlabWriter<'a> {
 
     fn begin(&mut self, slab: u32) -> Result<Open, TileError> {
         let mut mesher = match self.isovalue {
-            Some(isovalue) => Some(SlabMesher::new(self.city, slab, isovalue)?),
+            Some(isovalue) => {
+                runs("surface");
+                Some(SlabMesher::new(self.city, slab, isovalue)?)
+            }
             None => None,
         };
         if let (Some(mesher), Some((_, before))) = (&mut mesher, &self.before) {
@@ -167,6 +171,7 @@ impl LineSink for SlabWriter<'_> {
             mesher.push(line, densities)?;
         }
         if let Some(volume) = &mut self.volume {
+            runs("volume");
             volume.push(line, densities)?;
         }
         if line + 1 == self.city.lines(slab).end {

@@ -3,20 +3,8 @@
 use super::factory::parameters;
 use super::run::Prepared;
 use super::settings::{DataSource, ModelKind, ObjectiveKind, Symmetries};
-use crate::plan::{Bound, Plan, Step};
+use crate::plan::{Plan, Step};
 use serde_json::Map;
-
-fn step(id: &str, on: bool, form: String, [cost, cause, reason]: [&str; 3]) -> Step {
-    Step {
-        id: id.into(),
-        on,
-        form,
-        bound: Bound::EXACT,
-        cost: cost.into(),
-        cause: cause.into(),
-        reason: reason.into(),
-    }
-}
 
 /// What a training does, step by step.
 #[must_use]
@@ -34,7 +22,7 @@ pub fn plan(prepared: &Prepared) -> Plan {
             (None, true) => "the data hold what it needs",
         };
         let cause = format!("objective.{}", settings.objective.kind.name());
-        steps.push(step(
+        steps.push(Step::exact(
             &format!("loss.{}", term.name.trim_start_matches("weights.")),
             on,
             format!("weight {}", term.weight),
@@ -53,10 +41,15 @@ pub fn plan(prepared: &Prepared) -> Plan {
             ),
         };
         let cost = "two passes through VGG16 for each picture, where given";
-        steps.push(step("perceptual", true, form.to_owned(), [cost, "objective.lpips", reason]));
+        steps.push(Step::exact(
+            "perceptual",
+            true,
+            form.to_owned(),
+            [cost, "objective.lpips", reason],
+        ));
     }
     let images = run.steps * run.batch as u64;
-    steps.push(step(
+    steps.push(Step::exact(
         "optimise",
         true,
         format!("{} steps of {}, {rate}", run.steps, run.batch),
@@ -68,7 +61,7 @@ pub fn plan(prepared: &Prepared) -> Plan {
     ));
     let kept =
         if run.keep == 0 { "all kept".to_owned() } else { format!("the last {} kept", run.keep) };
-    steps.push(step(
+    steps.push(Step::exact(
         "checkpoint",
         true,
         format!("every {} steps, {kept}", run.checkpoint_every),
@@ -79,13 +72,13 @@ pub fn plan(prepared: &Prepared) -> Plan {
         ],
     ));
     let held_out = settings.data.held_out;
-    steps.push(step(
+    steps.push(Step::exact(
         "held-out",
         run.preview_every > 0 && held_out > 0,
         format!("{held_out} examples every {} steps", run.preview_every),
         ["one DSM each", "run.preview_every, data.held_out", "pictures and errors in the log"],
     ));
-    steps.push(step(
+    steps.push(Step::exact(
         "time-limit",
         run.minutes.is_some(),
         run.minutes.map_or_else(|| "none".to_owned(), |minutes| format!("{minutes} min")),
@@ -116,7 +109,7 @@ fn model_step(prepared: &Prepared) -> Step {
         Some(folder) => format!("begins with {}", folder.display()),
         None => "begins with random weights".to_owned(),
     };
-    step(
+    Step::exact(
         "model",
         true,
         format!("{kind}{size}"),
@@ -127,7 +120,7 @@ fn model_step(prepared: &Prepared) -> Step {
 fn data_steps(prepared: &Prepared) -> Vec<Step> {
     let data = &prepared.settings.data;
     let threads = format!("{} threads, {} batches ahead", data.threads(), data.ahead);
-    let mut steps = vec![step(
+    let mut steps = vec![Step::exact(
         "data",
         true,
         prepared.source.describe(),
@@ -141,7 +134,7 @@ fn data_steps(prepared: &Prepared) -> Vec<Step> {
             } else {
                 "data.vigor.street is off"
             };
-            steps.push(step(
+            steps.push(Step::exact(
                 "street",
                 vigor.street,
                 street,
@@ -155,7 +148,12 @@ fn data_steps(prepared: &Prepared) -> Vec<Step> {
             };
             let form =
                 if depth { format!("labels in {}/", vigor.depth) } else { "none".to_owned() };
-            steps.push(step("depth", depth, form, ["one PNG each", "data.vigor.depth", reason]));
+            steps.push(Step::exact(
+                "depth",
+                depth,
+                form,
+                ["one PNG each", "data.vigor.depth", reason],
+            ));
         }
         _ => {
             let simulated = &data.simulated;
@@ -164,7 +162,7 @@ fn data_steps(prepared: &Prepared) -> Vec<Step> {
                 Symmetries::Mirror => "random crops, mirrored east to west",
                 Symmetries::Square => "random crops, turned and mirrored",
             };
-            steps.push(step(
+            steps.push(Step::exact(
                 "augment",
                 simulated.symmetries != Symmetries::None || simulated.colour > 0.0,
                 format!("{crops}, colours moved by {}", simulated.colour),

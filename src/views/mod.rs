@@ -28,6 +28,7 @@ pub use world::World;
 use crate::footprint::Footprint;
 use crate::model::render::{Angles, Camera, Pose, RenderOptions};
 use crate::model::{Network, Scene};
+use crate::plan::runs;
 use place::Surroundings;
 use serde::Serialize;
 use shot::{Exposure, Shot};
@@ -222,14 +223,17 @@ pub fn render_each(
     let network = network.filter(|_| requests.super_resolution);
     let mut exposure = Exposure { scene, network, world, requests, write };
     if requests.satellite {
+        runs("satellite-view");
         exposure.save(&Shot::satellite(format!("{stem}_satellite")))?;
     }
     if requests.panorama || requests.perspective {
         let position = around.camera(requests.position, requests.height)?;
         if requests.panorama {
+            runs("panorama");
             exposure.save(&Shot::panorama(format!("{stem}_panorama"), position))?;
         }
         if requests.perspective {
+            runs("perspective");
             let angles = aim(requests, &around, position)?;
             let pose = Pose { position, rotation: angles.rotation() };
             let name = format!("{stem}_perspective");
@@ -242,6 +246,7 @@ pub fn render_each(
             rotation: world.camera_to_cube(&camera.rotation),
         };
         let name = format!("{stem}_cameras/{}", camera.name);
+        runs("cameras");
         exposure.save(&Shot::perspective(name, &camera.optics, pose, requests))?;
     }
     match &requests.path {
@@ -280,6 +285,7 @@ fn film(
     let requests = exposure.requests;
     let folder = format!("{stem}_trajectory");
     let mut frames = Vec::new();
+    runs("trajectory");
     for station in path.trajectory.stations.iter().step_by(path.every.max(1)) {
         let at = Place::Pixel(station.pixel);
         let position = around.camera(Some(at), requests.height)?;
@@ -306,6 +312,7 @@ fn film(
         exposure.write(format!("{name}.png"), picture.png()?)?;
         frames.push(picture);
     }
+    runs("animation");
     exposure.write(format!("{folder}.gif"), gif(&frames, path.fps)?)?;
     match &path.video {
         Some(encoder) => {

@@ -6,6 +6,7 @@ use super::{
 };
 use crate::model::render::{Camera, Pose, Wanted};
 use crate::model::{Grid, Network, Scene};
+use crate::plan::runs;
 
 /// A picture to be made.
 pub(super) struct Shot {
@@ -62,8 +63,12 @@ impl Exposure<'_> {
     pub fn expose(&mut self, shot: &Shot) -> Result<Picture, ViewError> {
         let options = &self.requests.options;
         let wanted = Wanted { color: true, normals: self.requests.depth };
+        runs("colour");
+        runs("rays");
         let mut view = self.scene.render(&shot.camera, options, wanted);
         if self.requests.depth {
+            runs("view-depth");
+            runs("depth");
             let npz = depth::npz(&self.world, &shot.camera, options, &view);
             self.write(format!("{}_depth.npz", shot.name), npz)?;
             self.write(format!("{}_depth.png", shot.name), depth::preview(&view)?)?;
@@ -76,7 +81,10 @@ impl Exposure<'_> {
             (false, _) => (colours, Rounding::Nearest),
             (true, None) => (colours, Rounding::Down),
             // The whole frame at once: every pixel depends on all others.
-            (true, Some(network)) => (network.super_resolve(&colours)?, Rounding::Down),
+            (true, Some(network)) => {
+                runs("super-resolution");
+                (network.super_resolve(&colours)?, Rounding::Down)
+            }
         };
         let size = [shot.size[0].min(colours.width), shot.size[1].min(colours.height)];
         Ok(Picture::from_colours(&colours, rounding, size))

@@ -1,7 +1,7 @@
 //! What views mean for a plan.
 
 use super::{FrameKind, Height, Lens, ViewRequests};
-use crate::plan::{Bound, Step};
+use crate::plan::Step;
 
 impl ViewRequests {
     /// The steps that views take, on and off, with cost and cause. Pictures have no error in metres: all
@@ -21,20 +21,10 @@ impl ViewRequests {
             }
             Lens::Intrinsics(_) => "given intrinsics".to_owned(),
         };
-        let step = |id: &str, on, form: &str, cost: String, cause: &str, reason: &str| Step {
-            id: id.to_owned(),
-            on,
-            form: form.to_owned(),
-            bound: Bound::EXACT,
-            cost,
-            cause: cause.to_owned(),
-            reason: reason.to_owned(),
-        };
         let asked = |on: bool| if on { "asked for" } else { "not asked for" };
         let view = |id: &str, on, form: &str, cost: String, cause: &str| {
-            step(id, on, form, cost, cause, asked(on))
+            Step::exact(id, on, form, [&cost, cause, asked(on)])
         };
-        let sky = self.needs_sky();
         let mut steps = vec![
             view("satellite-view", self.satellite, "256 x 256", rays([256, 256]), "--satellite"),
             view(
@@ -71,34 +61,30 @@ impl ViewRequests {
             };
             let form = format!("{frames} {what}");
             steps.push(view("trajectory", true, &form, format!("{cost} a frame"), "--trajectory"));
-            steps.push(step(
+            steps.push(Step::exact(
                 "animation",
                 true,
-                "GIF, one palette of 256 colours",
-                "median cut over all frames".to_owned(),
-                "--trajectory",
-                "colours differ from the frames' by the palette",
-            ));
-            steps.push(step(
-                "video",
-                true,
-                "MP4, where ffmpeg is installed",
-                "all frames once through ffmpeg".to_owned(),
-                "--trajectory",
-                "left out, and said, where ffmpeg is not installed",
+                "GIF of 256 colours; MP4 where ffmpeg is installed",
+                [
+                    "median cut over all frames; all frames once through ffmpeg",
+                    "--trajectory",
+                    "colours of the GIF differ from the frames' by its palette; a missing MP4 is said",
+                ],
             ));
         } else {
             steps.push(view("trajectory", false, "frames", "rays".to_owned(), "--trajectory"));
         }
-        let probes = matches!(self.height, Height::AboveSurface(_))
-            || self.look_at.is_some_and(|place| !matches!(place, super::Place::Metres(_)));
-        steps.push(step(
+        // Cameras from a file stand where it says.
+        let stands = self.panorama || self.perspective || self.path.is_some();
+        let looks = self.perspective
+            && self.look_at.is_some_and(|place| !matches!(place, super::Place::Metres(_)));
+        let probes = looks || stands && matches!(self.height, Height::AboveSurface(_));
+        steps.push(view(
             "surface-probe",
-            probes && sky,
+            probes,
             "median of 9 rays",
             "9 rays a place".to_owned(),
             "a height above the surface, or a place to look at without a height",
-            asked(probes && sky),
         ));
         steps.push(view(
             "view-depth",

@@ -92,6 +92,7 @@ impl World {
     /// the cube's height by a third of a metre. Each place is therefore looked at again from a little above.
     #[must_use]
     pub fn surface(&self, scene: &Scene, [x, y]: [f64; 2]) -> Option<f64> {
+        crate::plan::runs("surface-probe");
         let step = 2.0 * self.scale / DSM_SIZE;
         let mut heights = Vec::with_capacity(9);
         for row in [-1.0, 0.0, 1.0] {

@@ -538,7 +538,7 @@ fn explain_shows_each_step_and_writes_nothing() {
     place.city(1);
     let output = run(&mut place.infer("Seattle", "out", &["--explain"]), 0);
     let text = stdout(&output);
-    for line in ["encoder", "decoder", "fold", "rays", "vertical-scale", "npz"] {
+    for line in ["network", "precision", "fold", "rays", "vertical-scale", "npz"] {
         assert!(
             text.lines().any(|l| l.trim_start().starts_with(line) && l.contains("  on ")),
             "{line}\n{text}"

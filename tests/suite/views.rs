@@ -468,7 +468,7 @@ fn requests_say_what_they_need_and_are_serialised_without_the_files_contents() {
     let on = |requests: &ViewRequests, id: &str| {
         requests.steps().into_iter().find(|step| step.id == id).map(|step| step.on)
     };
-    assert_eq!(on(&film, "video"), Some(true), "a plan does not depend on what is installed");
+    assert_eq!(on(&film, "animation"), Some(true), "a plan does not depend on what is installed");
     assert!(json["path"].get("video").is_none());
     assert_eq!((on(&film, "trajectory"), on(&satellite, "trajectory")), (Some(true), Some(false)));
     assert_eq!(on(&satellite, "satellite-view"), Some(true));

@@ -23,6 +23,7 @@ pub use resample::{apply, apply_nearest};
 
 use super::protocol::{OffsetMethod, Protocol};
 use super::surface::Surface;
+use crate::plan::runs;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 
@@ -210,11 +211,13 @@ impl Aligner {
             Protocol::Plain | Protocol::Vertical => {}
             Protocol::Paper => self.paper(&prediction, &truth, settings, &mut alignment),
             Protocol::Coregister => {
+                runs("coregistration");
                 coregister::coregister(&prediction, &truth, settings, &mut alignment);
             }
         }
         let aligned = apply(&alignment, &truth);
         if settings.protocol != Protocol::Plain {
+            runs("vertical-offset");
             self.offsets.find(&prediction, &aligned, settings, &mut alignment)?;
         }
         if let Some(coregistration) = &mut alignment.coregistration {
@@ -233,6 +236,7 @@ impl Aligner {
         settings: &AlignSettings,
         alignment: &mut Alignment,
     ) {
+        runs("shift");
         let (width, height) = prediction.size();
         let [reference, moving, shifted] = &mut self.shades;
         let textured = shade::shade(&prediction.values, &mut self.keys, reference)
@@ -248,6 +252,7 @@ impl Aligner {
             return;
         }
         alignment.shift_px = shift;
+        runs("rotation");
         resample::shift_shades(moving, width, height, shift, shifted);
         match self.rotation.search(reference, shifted, width, height, settings.max_rotation_deg) {
             Some(best) => {

@@ -68,6 +68,7 @@ pub(super) fn prediction(path: &Path, settings: &InputSettings) -> Result<Predic
         }
     };
     if scale != 1.0 {
+        crate::plan::runs("scale");
         for value in &mut surface.values {
             // As numpy multiplies an array of f32 by a Python float.
             *value *= scale as f32;

@@ -10,9 +10,11 @@
 //! such a name are laid over each other by their georeference, else by their pixels.
 
 mod arrays;
+mod demands;
 mod pairs;
 mod rasters;
 
+pub use demands::{Demands, demands};
 pub use pairs::{Pair, pair};
 
 use super::surface::Surface;

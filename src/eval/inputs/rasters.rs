@@ -37,10 +37,25 @@ pub(super) fn on_image_grid(path: &Path, grid: &ImageGrid) -> Result<Surface, In
     Ok(Surface::new(grid.width() as usize, grid.height() as usize, values))
 }
 
-/// A ground truth whose name implies no grid: its own grid is the one.
-pub(super) fn truth(path: &Path) -> Result<Truth, InputError> {
+/// Columns and rows that [`on_image_grid`] gives of a raster, or (without a grid) those that it has,
+/// with the metres of a pixel east-west where its place is known. Reads the header.
+pub(super) fn size(
+    path: &Path,
+    grid: Option<&ImageGrid>,
+) -> Result<([usize; 2], Option<f64>), InputError> {
     let raster = open(path)?;
-    let surface = whole(&raster, path)?;
+    let own = [raster.header().width, raster.header().height].map(|side| side as usize);
+    Ok(match grid {
+        Some(grid) if !covers(&raster, grid) => {
+            ([grid.width() as usize, grid.height() as usize], None)
+        }
+        Some(_) => (own, None),
+        None => (own, place(&raster).0.map(|(across, _)| across)),
+    })
+}
+
+/// Metres of a raster's pixel east-west and north-south, and its centre, where they are known.
+fn place(raster: &SingleRaster) -> (Option<(f64, f64)>, Option<LonLat>) {
     let header = raster.header();
     let middle = |dx: f64, dy: f64| {
         let x = f64::from(header.width / 2) + dx;
@@ -54,7 +69,15 @@ pub(super) fn truth(path: &Path) -> Result<Truth, InputError> {
         }
         _ => None,
     };
-    let center: Option<LonLat> = middle(0.0, 0.0);
+    (pixel_m, middle(0.0, 0.0))
+}
+
+/// A ground truth whose name implies no grid: its own grid is the one.
+pub(super) fn truth(path: &Path) -> Result<Truth, InputError> {
+    let raster = open(path)?;
+    let surface = whole(&raster, path)?;
+    let header = raster.header();
+    let (pixel_m, center) = place(&raster);
     let frame = header.crs.clone().map(|crs| Frame { geotransform: header.geotransform, crs });
     let place = Place { grid: None, center, pixel_m, frame };
     Ok(Truth { surface, ground: None, place, notes: raster.warnings().to_vec() })

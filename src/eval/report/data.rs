@@ -43,6 +43,7 @@ fn value<T: Serialize>(of: &T) -> Value {
 /// # Errors
 /// None in practice: the columns have equal lengths and distinct names.
 pub fn per_image_table(set: &EvaluationSet) -> Result<Table, TableError> {
+    crate::plan::runs("table");
     let rows: Vec<Row<'_>> = set
         .evaluations
         .iter()

@@ -132,6 +132,17 @@ pub fn inflate(data: &[u8], expected: usize) -> Result<Vec<u8>, InflateError> {
     Ok(out)
 }
 
+/// The first `count` bytes of a raw DEFLATE stream, or as many as its beginning `data` gives.
+#[must_use]
+pub fn inflate_beginning(data: &[u8], count: usize) -> Vec<u8> {
+    let mut inflater = zlib_rs::Inflate::new(false, 15);
+    let mut out = vec![0; count];
+    // What was decoded before an error is good.
+    let _ = inflater.decompress(data, &mut out, zlib_rs::InflateFlush::NoFlush);
+    out.truncate(inflater.total_out() as usize);
+    out
+}
+
 /// Adler-32 (RFC 1950).
 #[must_use]
 pub fn adler32(data: &[u8]) -> u32 {

@@ -23,6 +23,12 @@ pub(super) fn header(descr: &str, shape: &[usize]) -> Vec<u8> {
     header
 }
 
+/// Lengths of the axes of an array, of whose bytes only the first are there.
+pub(super) fn shape(bytes: &[u8]) -> Option<Vec<usize>> {
+    let (header, _) = split(bytes).ok()?;
+    Some(Dictionary::new(std::str::from_utf8(header).ok()?).header()?.shape)
+}
+
 /// Reads one array.
 pub(super) fn parse(bytes: &[u8]) -> Result<NpyOwned, Reason> {
     let (header, data) = split(bytes)?;

@@ -156,3 +156,36 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn shapes_come_from_headers_alone() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("x.npz");
+    // Larger than what is looked at, and hard to compress.
+    let values: Vec<f32> =
+        (0..300 * 200_u32).map(|k| (k.wrapping_mul(2_654_435_761)) as f32).collect();
+    let arrays = [
+        NpyArray { name: "dsm", shape: &[300, 200], data: NpyData::F32(&values) },
+        NpyArray { name: "metres_per_unit", shape: &[], data: NpyData::F64(&[64.48]) },
+    ];
+    for compression in [Compression::Stored, Compression::Fast, Compression::Small] {
+        let bytes = encode(&arrays, compression);
+        std::fs::write(&file, &bytes).expect("writes");
+        let found = shapes(&file).expect("reads");
+        assert_eq!(
+            found,
+            [("dsm".to_owned(), vec![300, 200]), ("metres_per_unit".to_owned(), vec![])]
+        );
+        // Values that are damaged do not matter, an end that is cut off does.
+        let mut damaged = bytes.clone();
+        damaged[20_000..20_100].fill(0xff);
+        std::fs::write(&file, &damaged).expect("writes");
+        assert_eq!(shapes(&file).expect("reads"), found);
+        assert!(read(&file).is_err());
+        std::fs::write(&file, &bytes[..bytes.len() - 30]).expect("writes");
+        assert!(shapes(&file).is_err());
+    }
+    let npy = folder.path().join("x.npy");
+    std::fs::write(&npy, [npy_header_f32(&[7, 9]), vec![0; 7 * 9 * 4]].concat()).expect("writes");
+    assert_eq!(shapes(&npy).expect("reads"), [("arr_0".to_owned(), vec![7, 9])]);
+}

@@ -1,7 +1,7 @@
 //! The part of the zip format that numpy uses.
 
 use super::Reason;
-use crate::raster::deflate::{Compression, Samples, deflate, inflate};
+use crate::raster::deflate::{Compression, Samples, deflate, inflate, inflate_beginning};
 
 const LOCAL: u32 = 0x0403_4b50;
 const CENTRAL: u32 = 0x0201_4b50;
@@ -293,6 +293,22 @@ impl Entry {
             return Err("its checksum is wrong: the file is damaged".to_owned());
         }
         Ok(content)
+    }
+
+    /// Where the member begins in the file.
+    pub(super) const fn offset(&self) -> u64 {
+        self.offset
+    }
+
+    /// The first bytes of the content, from at most `most` packed ones; not verified.
+    pub(super) fn beginning(&self, file: &[u8], most: usize) -> Option<Vec<u8>> {
+        let packed = self.packed_bytes(file).filter(|_| !self.encrypted)?;
+        let packed = &packed[..packed.len().min(most)];
+        match self.method {
+            STORED => Some(packed.to_vec()),
+            DEFLATED => Some(inflate_beginning(packed, most / 2)),
+            _ => None,
+        }
     }
 
     fn packed_bytes<'a>(&self, file: &'a [u8]) -> Option<&'a [u8]> {

@@ -16,6 +16,7 @@ use crate::batch::{OutputFile, sync_folder, write_atomic};
 use crate::crs::{CrsError, CrsSpec};
 use crate::grid::GeoTransform;
 use crate::lidar::WarpError;
+use crate::plan::runs;
 use crate::raster::geotiff::{CogSpec, CogWriter, GeoTiffError};
 use crate::units::LinearUnit;
 use preview::Preview;
@@ -140,7 +141,12 @@ pub fn write_dsm(
     progress: &mut dyn FnMut(u64, u64),
 ) -> Result<DsmFile, DsmError> {
     let city = slabs.city;
+    runs("dsm");
+    runs("storage");
     let grid = DsmGrid::new(city, options.t_srs.as_ref())?;
+    if !grid.is_own() {
+        runs("warp");
+    }
     let target = slabs.out.join(&options.name);
     let mut writer = CogWriter::create(&target, &cog_spec(city, &grid, &options.metadata))?;
     let side = (grid.gsd_m[0] * grid.gsd_m[1]).sqrt();

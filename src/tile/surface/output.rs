@@ -11,6 +11,7 @@ use crate::mesh_file::{
     MeshFileError, MeshFormat, MeshGeoreference, companions, texture_png, write_glb,
     write_material, write_obj, write_ply,
 };
+use crate::plan::runs;
 use crate::tile::frame::LocalFrame;
 use crate::tile::slabs::Slabs;
 use rayon::prelude::*;
@@ -180,6 +181,13 @@ pub fn write_mesh(
     let store = SurfaceStore::open(slabs).map_err(PartsError::from)?;
     if store.totals()[1] == 0 {
         return Err(CityMeshError::Empty { isovalue: options.isovalue });
+    }
+    runs("mesh");
+    if options.target != Target::default() {
+        runs("simplify");
+    }
+    if options.colour != CityMeshColour::None {
+        runs("colour");
     }
     let mut writer = Writer::new(&store, frame, options, out, progress)?;
     let place = |point: [f64; 3]| frame.place(point);

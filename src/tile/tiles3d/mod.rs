@@ -28,6 +28,7 @@ use super::surface::TileIndex;
 use super::surface::simplify::SimplifyError;
 use super::surface::store::{StoreError, SurfaceStore};
 use crate::batch::{AtomicFolder, Interrupt, Progress};
+use crate::plan::runs;
 use serde::{Deserialize, Serialize};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -196,6 +197,8 @@ fn write_cut(
     if !(options.error_m > 0.0 && options.error_m.is_finite()) {
         return Err(Tiles3dError::ErrorM(options.error_m));
     }
+    runs("tiles3d");
+    runs("colour");
     check_target(out)?;
     let store = SurfaceStore::open(slabs)?;
     if store.tiles().len() == 0 {

@@ -44,6 +44,7 @@ pub struct Panel {
 /// An evaluation as one self-contained HTML page.
 #[must_use]
 pub fn html(set: &EvaluationSet, panels: &[Panel]) -> String {
+    crate::plan::runs("report");
     let labels = labels(set);
     let title = title(set);
     let mut page = format!(
