@@ -2,7 +2,7 @@
 
 use super::options::{BuildOptions, GridKind, TransformChoice};
 use super::tiles::TileSet;
-use crate::lidar::{Resampling, TransformForm};
+use crate::lidar::{PHASE_BITS, Resampling, TransformForm};
 use crate::plan::{Bound, Plan, Step};
 use crate::units::LinearUnit;
 use serde_json::{Map, Value, json};
@@ -22,7 +22,12 @@ pub struct Budget {
 /// without; held by the tests of `crs`.
 const PROJECTION_BOUND_M: f64 = 5e-8;
 /// Highest absolute height for which the storage bound is stated, metres.
-const STATED_HEIGHT_M: f64 = 1024.0;
+pub const STATED_HEIGHT_M: f64 = 1024.0;
+
+/// What rounding a height to 32 bits can move it, metres.
+pub fn rounding_m(height_m: f64) -> f64 {
+    height_m * f64::from(f32::EPSILON) / 2.0
+}
 
 /// Resolves the plan from what was asked for and what the tiles are.
 pub fn resolve(options: &BuildOptions, tiles: &TileSet) -> (Plan, Budget) {
@@ -31,12 +36,13 @@ pub fn resolve(options: &BuildOptions, tiles: &TileSet) -> (Plan, Budget) {
     let lattice_m = tiles
         .tiles()
         .iter()
-        .map(|tile| tile.lattice.phase_bound() * tiles.crs[tile.crs].metres_per_unit)
+        .map(|tile| tile.lattice.bound(tile.window) * tiles.crs[tile.crs].metres_per_unit)
         .fold(0.0, f64::max);
+    let bits = tiles.tiles().first().map_or(PHASE_BITS, |tile| tile.lattice.phase_bits());
     steps.push(Step {
         id: "lattice".into(),
         on: true,
-        form: "phase to 2^-24 pixel".into(),
+        form: format!("phase to 2^-{bits} pixel"),
         bound: Bound::horizontal(lattice_m),
         cost: "none per pixel".into(),
         cause: "corners of tiles cut from one raster differ by rounding".into(),
@@ -54,7 +60,7 @@ pub fn resolve(options: &BuildOptions, tiles: &TileSet) -> (Plan, Budget) {
         id: "storage".into(),
         on: true,
         form: "f32".into(),
-        bound: Bound::vertical(STATED_HEIGHT_M * f64::from(f32::EPSILON) / 2.0),
+        bound: Bound::vertical(rounding_m(STATED_HEIGHT_M)),
         cost: "none".into(),
         cause: "numpy and GDAL read f32".into(),
         reason: format!(
