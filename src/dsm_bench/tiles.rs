@@ -281,9 +281,19 @@ impl Found {
             }
         };
         let crs = match self.specs.iter().position(|known| same_horizontal(known, spec)) {
-            Some(known) => known,
+            Some(known) => {
+                // A step that is left out is left out everywhere: its bound is that of the tile where
+                // it is largest, and where it is above the tolerance it is taken after all.
+                let shift_m = self.crs[known].operation.datum_shift_m;
+                if leaves_out(shift_m, options) {
+                    let here = resolve_for(header, spec, options, shift_m)
+                        .map_err(|source| BenchError::Crs { path: header.path.clone(), source })?;
+                    self.crs[known] = here;
+                }
+                known
+            }
             None => {
-                let resolved = resolve_for(header, spec, options)
+                let resolved = resolve_for(header, spec, options, 0.0)
                     .map_err(|source| BenchError::Crs { path: header.path.clone(), source })?;
                 self.specs.push(spec.clone());
                 self.crs.push(resolved);
@@ -324,11 +334,19 @@ fn same_horizontal(a: &CrsSpec, b: &CrsSpec) -> bool {
     }
 }
 
-/// Resolves a CRS for the area of the first tile that has it: one operation per CRS and run.
+/// Whether a datum step that moves positions so far is left out: its bound is under the tolerance,
+/// which takes one of metres. 5 % covers the change of the shift around a tile.
+fn leaves_out(shift_m: f64, options: &BuildOptions) -> bool {
+    shift_m > 0.0 && 1.05 * shift_m < options.tolerance_m && options.operation.is_none()
+}
+
+/// Resolves a CRS for the area of a tile that has it; `least_shift_m` is what its datum step moves
+/// positions elsewhere.
 fn resolve_for(
     header: &RasterHeader,
     spec: &CrsSpec,
     options: &BuildOptions,
+    least_shift_m: f64,
 ) -> Result<ResolvedCrs, CrsError> {
     let mut asked = ResolveOptions {
         operation: options.operation.clone(),
@@ -349,13 +367,11 @@ fn resolve_for(
         a.lat_deg.max(b.lat_deg),
     ]);
     let resolved = resolve(spec, &asked)?;
-    // A step whose bound is under the tolerance is left out: for the datum that takes a tolerance
-    // of metres. 5 % covers the change of the shift over a region.
-    let left_out = 1.05 * resolved.operation.datum_shift_m;
-    if left_out > 0.0 && left_out < options.tolerance_m && options.operation.is_none() {
+    let shift_m = resolved.operation.datum_shift_m.max(least_shift_m);
+    if leaves_out(shift_m, options) {
         asked.without_datum_step = true;
         let mut without = resolve(spec, &asked)?;
-        without.operation.datum_shift_m = resolved.operation.datum_shift_m;
+        without.operation.datum_shift_m = shift_m;
         return Ok(without);
     }
     Ok(resolved)

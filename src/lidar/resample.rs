@@ -137,6 +137,8 @@ pub(super) struct Kernel {
     /// Displacement that could flip a pixel's validity, in cells.
     flip_x: f64,
     flip_y: f64,
+    /// Holes are counted around each point, because more than its own taps decide.
+    far: bool,
 }
 
 /// What a kernel made of one pixel.
@@ -175,9 +177,15 @@ impl Kernel {
         let kernel_has_width = matches!(resampling, Resampling::Bilinear | Resampling::Cubic);
         let widened = kernel_has_width && (wide(cells_per_pixel.0) || wide(cells_per_pixel.1));
         let ratio = |cells: f64| if widened { cells.max(1.0) } else { 1.0 };
+        let flip = flip_cells.0.max(flip_cells.1);
+        let average = resampling == Resampling::Average;
+        let far = flip >= NEAR_CELLS
+            || (edge == EdgeRule::Strict && (widened || average))
+            || (average && 4.0 * flip > cells_per_pixel.0.min(cells_per_pixel.1));
         Self {
             resampling,
             edge,
+            far,
             widen_x: ratio(cells_per_pixel.0),
             widen_y: ratio(cells_per_pixel.1),
             widened,
@@ -210,9 +218,10 @@ impl Kernel {
         }
     }
 
-    /// Whether the horizontal bound is so large that holes must be counted ([`Self::flips_far`]).
+    /// Whether holes must be counted around each point ([`Self::flips_far`]): the horizontal bound is
+    /// large, or a whole support decides whether there is a value.
     pub fn reaches_far(&self) -> bool {
-        self.flip_x.max(self.flip_y) >= NEAR_CELLS
+        self.far
     }
 
     /// Whether every pixel takes the quick path of [`bilinear_row`].
@@ -248,7 +257,7 @@ impl Kernel {
     /// It can only where a border or a middle of a cell is that near.
     fn flips_near(&self, cells: &Cells<'_>, x: f64, y: f64) -> bool {
         let near = |v: f64, bound: f64| (2.0 * v - (2.0 * v).round()).abs() <= 2.0 * bound;
-        if self.reaches_far() || !(near(x, self.flip_x) || near(y, self.flip_y)) {
+        if self.far || !(near(x, self.flip_x) || near(y, self.flip_y)) {
             return false;
         }
         let here = self.support(cells, x, y);
@@ -279,8 +288,8 @@ impl Kernel {
         }
     }
 
-    /// Whether a bound of [`NEAR_CELLS`] or more takes a point, or the box between two, both to
-    /// cells with data and to cells without.
+    /// Whether the horizontal bound takes a point, or the box between two, both to cells with data
+    /// and to cells without.
     pub fn flips_far(&self, holes: &Holes, a: (f64, f64), b: (f64, f64)) -> bool {
         let taps = match (self.edge, self.resampling) {
             (EdgeRule::Strict, _) | (_, Resampling::Cubic) => self.resampling.radius(),

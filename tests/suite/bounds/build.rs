@@ -81,7 +81,7 @@ const SITES: [Site; 7] = [
 /// A surface in metres of the tile's CRS from its middle.
 type Surface = fn(f64, f64) -> f64;
 
-/// A plane, walls on a wave, hills, and hills with a hole of 3 m.
+/// A plane, walls on a wave, hills, and hills with a hole of 1.8 m.
 const SURFACES: [Surface; 4] = [
     |x, y| 120.0 + 0.7 * x - 0.4 * y,
     |x, y| {
@@ -90,7 +90,7 @@ const SURFACES: [Surface; 4] = [
     },
     |x, y| 900.0 + 40.0 * libm::exp(-(x * x + y * y) / 50.0),
     |x, y| {
-        let hole = libm::hypot(x - 1.0, y + 1.0) < 1.5;
+        let hole = libm::hypot(x - 1.0, y + 1.0) < 0.9;
         if hole { f64::NAN } else { 30.0 + 12.0 * libm::exp(-(x * x + y * y) / 18.0) + 0.3 * x }
     },
 ];

@@ -123,7 +123,7 @@ fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
         .collect()
 }
 
-const EVERYTHING: &str = "--geotiff --scene --mesh --grid-size 24 --density npy --satellite --panorama \
+const EVERYTHING: &str = "--geotiff --scene --mesh glb --grid-size 24 --density npy --satellite --panorama \
     --perspective --position px:240,400 --size 32x32 --with depth --trajectory path.csv --dsm-size 64";
 
 #[test]
@@ -134,7 +134,7 @@ pub fn what_is_asked_for_beside_it_changes_no_output() {
     for (out, extra) in [
         ("dsm", "--dsm-size 64"),
         ("tif", "--no-dsm --geotiff --dsm-size 64"),
-        ("shape", "--no-dsm --mesh --density npy --grid-size 24"),
+        ("shape", "--no-dsm --mesh glb --density npy --grid-size 24"),
         ("above", "--no-dsm --satellite"),
     ] {
         run(&mut place.infer(weights(), out, extra), 0);
