@@ -278,7 +278,7 @@ pub fn resolve(
             reason,
         });
     }
-    steps.push(units_step(heights.highest));
+    steps.push(units_step(&heights, 4.0 * spec.lidar.noise_sigma_metres));
     let mut parameters = serde_json::Map::new();
     parameters.insert("scene".to_owned(), serde_json::to_value(spec).unwrap_or_default());
     parameters.insert("force".to_owned(), serde_json::json!(options.force));
@@ -304,10 +304,13 @@ fn projection_step() -> Step {
     }
 }
 
-fn units_step(highest_m: f64) -> Step {
-    // Half a step of a 32-bit float at the highest value, in feet.
-    let feet = (highest_m / crate::units::US_SURVEY_FOOT_M) as f32;
-    let half_step = f64::from(f32::from_bits(feet.abs().to_bits() + 1) - feet.abs()) / 2.0;
+fn units_step(heights: &HeightBounds, noise_m: f64) -> Step {
+    // Half a step of a 32-bit float at the largest value, in feet: low land may lie deeper than it
+    // stands high.
+    let lowest = heights.highest - heights.above_ground - heights.ground_range;
+    let largest_m = heights.highest.abs().max(lowest.abs()) + noise_m;
+    let feet = (largest_m / crate::units::US_SURVEY_FOOT_M) as f32;
+    let half_step = f64::from(feet.next_up() - feet) / 2.0;
     Step {
         id: "units".to_owned(),
         on: true,

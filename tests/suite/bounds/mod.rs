@@ -40,8 +40,8 @@ impl Share {
     fn add(&mut self, error: f64, bound: f64, at: impl Fn() -> String) {
         self.count += 1;
         let share = if error == 0.0 { 0.0 } else { error / bound };
-        // So written that NaN counts as the worst.
-        if !(share <= self.worst) {
+        // NaN counts as the worst.
+        if share > self.worst || share.is_nan() {
             (self.worst, self.error, self.bound, self.at) = (share, error, bound, at());
         }
     }
