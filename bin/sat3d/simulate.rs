@@ -55,7 +55,7 @@ pub struct Args {
     /// Folder for everything that is written.
     #[arg(short, long, value_name = "DIR", default_value = "simulated")]
     out: PathBuf,
-    /// Effects whose bound is not above this are left out, metres.
+    /// The smallest effects are left out whose bounds together are not above this, metres
     #[arg(
         long,
         value_name = "METRES",

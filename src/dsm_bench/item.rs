@@ -2,7 +2,7 @@
 
 use super::layers::LayerSource;
 use super::options::{BuildOptions, GridKind, TransformChoice};
-use super::plan::Budget;
+use super::plan::{Budget, STATED_HEIGHT_M, rounding_m};
 use super::record::Record;
 use super::tiles::{TileSet, moves_points};
 use super::{Coverage, ImageEntry};
@@ -45,6 +45,8 @@ struct Warped {
     form: TransformForm,
     bound_m: f64,
     steepest: f64,
+    /// How much steeper the interpolated surface can be.
+    slope_factor: Option<f64>,
     uncertain: u64,
 }
 
@@ -127,7 +129,9 @@ impl Workshop<'_> {
         record.uncertain_px = Some(warped.uncertain);
         let mut heights = warped.heights;
         self.quantise(&mut heights);
-        self.describe(record, &heights, warped.steepest, warped.bound_m);
+        let gradient = warped.slope_factor.map(|factor| factor * warped.steepest);
+        record.steepest = Some(warped.steepest);
+        self.describe(record, &heights, gradient, warped.bound_m);
         let dtm = self.dtm.map(|tiles| self.bare_earth(&grid, tiles, record)).transpose()?;
         self.encode(&grid, record, &heights, dtm.as_deref(), warped.ids.as_deref(), files);
         Ok(())
@@ -224,13 +228,16 @@ impl Workshop<'_> {
         Ok((map, form))
     }
 
-    fn settings(&self, tiles: &TileSet, layer: &LayerSource<'_>) -> WarpSettings {
+    fn settings(&self, tiles: &TileSet, candidate: &Candidate<'_>) -> WarpSettings {
+        let metres_per_unit = tiles.crs[candidate.layer.crs].metres_per_unit;
         WarpSettings {
             resampling: self.options.resampling,
             edge: self.options.edge,
             metres_per_unit: tiles.vertical_unit.metres_per_unit(),
-            horizontal_bound: (self.budget.other_m + self.budget.transform_m)
-                / tiles.crs[layer.crs].metres_per_unit,
+            // The image's own bound: a forced form may err more than the tolerance leaves, and the
+            // chosen one errs less.
+            horizontal_bound: self.budget.other_m / metres_per_unit
+                + candidate.map.errors().of(candidate.form),
         }
     }
 
@@ -243,7 +250,7 @@ impl Workshop<'_> {
         let pixels = self.options.size as usize * self.options.size as usize;
         let mut heights = vec![f32::NAN; pixels];
         let mut tile_ids = ids.then(|| vec![u16::MAX; pixels]);
-        let settings = self.settings(tiles, &candidate.layer);
+        let settings = self.settings(tiles, candidate);
         runs("kernel");
         if settings.metres_per_unit != 1.0 {
             runs("vertical-unit");
@@ -259,7 +266,7 @@ impl Workshop<'_> {
             tile_ids.as_deref_mut(),
         )?;
         let crs = &tiles.crs[candidate.layer.crs];
-        let WarpStatistics { valid, uncertain, steepest } = statistics;
+        let WarpStatistics { valid, uncertain, steepest, slope_factor } = statistics;
         Ok(Warped {
             heights,
             ids: tile_ids,
@@ -269,6 +276,7 @@ impl Workshop<'_> {
             bound_m: candidate.map.errors().of(candidate.form) * crs.metres_per_unit,
             // Height units per CRS unit -> metres per metre.
             steepest: steepest * tiles.vertical_unit.metres_per_unit() / crs.metres_per_unit,
+            slope_factor,
             uncertain,
         })
     }
@@ -334,6 +342,7 @@ impl Workshop<'_> {
                 sum.tiles.extend(next.tiles);
                 sum.uncertain += next.uncertain;
                 sum.steepest = sum.steepest.max(next.steepest);
+                sum.slope_factor = sum.slope_factor.zip(next.slope_factor).map(|(a, b)| a.max(b));
                 if next.bound_m > sum.bound_m {
                     (sum.bound_m, sum.form) = (next.bound_m, next.form);
                 }
@@ -376,15 +385,27 @@ impl Workshop<'_> {
         }
     }
 
-    fn describe(&self, record: &mut Record, heights: &[f32], steepest: f64, transform_m: f64) {
+    fn describe(
+        &self,
+        record: &mut Record,
+        heights: &[f32],
+        gradient: Option<f64>,
+        transform_m: f64,
+    ) {
         let Extent { low, high, mean } = Extent::of(heights);
         record.min_m = Some(f64::from(low));
         record.max_m = Some(f64::from(high));
         record.mean_m = Some(mean);
-        record.steepest = Some(steepest);
-        // What one image can lose: every horizontal bound times the steepest source gradient.
-        record.height_bound_m = self.options.resampling.slope_factor().map(|factor| {
-            (self.budget.other_m + transform_m) * steepest * factor + self.budget.vertical_m
+        // The plan's rounding is stated for ordinary heights; these may be higher.
+        let highest = f64::from(low.abs().max(high.abs()));
+        // To 32 bits where a tile has more, on writing, and after quantising.
+        let roundings = if self.options.quantise.is_some() { 3.0 } else { 2.0 };
+        let rounding_m = rounding_m(roundings * highest) - rounding_m(STATED_HEIGHT_M);
+        // What one image can lose: every horizontal bound times the steepest gradient.
+        record.height_bound_m = gradient.map(|gradient| {
+            (self.budget.other_m + transform_m) * gradient
+                + self.budget.vertical_m
+                + rounding_m.max(0.0)
         });
         if !(-440.0..=9700.0).contains(&low) || !(-440.0..=9700.0).contains(&high) {
             record.flags.push(format!(

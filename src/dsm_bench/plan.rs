@@ -3,7 +3,7 @@
 use super::Coverage;
 use super::options::{BuildOptions, GridKind, TransformChoice};
 use super::tiles::{TileSet, datum_bound_m, moves_points};
-use crate::lidar::{Resampling, TransformForm};
+use crate::lidar::{PHASE_BITS, Resampling, TransformForm};
 use crate::plan::{Bound, Plan, Step};
 use crate::units::LinearUnit;
 use serde_json::{Map, Value, json};
@@ -23,7 +23,12 @@ pub struct Budget {
 /// without; held by the tests of `crs`.
 const PROJECTION_BOUND_M: f64 = 5e-8;
 /// Highest absolute height for which the storage bound is stated, metres.
-const STATED_HEIGHT_M: f64 = 1024.0;
+pub const STATED_HEIGHT_M: f64 = 1024.0;
+
+/// What rounding a height to 32 bits can move it, metres.
+pub fn rounding_m(height_m: f64) -> f64 {
+    height_m * f64::from(f32::EPSILON) / 2.0
+}
 
 /// Resolves the plan from what was asked for and what the tiles are.
 pub fn resolve(options: &BuildOptions, tiles: &TileSet) -> (Plan, Budget) {
@@ -32,12 +37,13 @@ pub fn resolve(options: &BuildOptions, tiles: &TileSet) -> (Plan, Budget) {
     let lattice_m = tiles
         .tiles()
         .iter()
-        .map(|tile| tile.lattice.phase_bound() * tiles.crs[tile.crs].metres_per_unit)
+        .map(|tile| tile.lattice.bound(tile.window) * tiles.crs[tile.crs].metres_per_unit)
         .fold(0.0, f64::max);
+    let bits = tiles.tiles().first().map_or(PHASE_BITS, |tile| tile.lattice.phase_bits());
     steps.push(Step {
         id: "lattice".into(),
         on: true,
-        form: "phase to 2^-24 pixel".into(),
+        form: format!("phase to 2^-{bits} pixel"),
         bound: Bound::horizontal(lattice_m),
         cost: "none per pixel".into(),
         cause: "corners of tiles cut from one raster differ by rounding".into(),
@@ -56,7 +62,7 @@ pub fn resolve(options: &BuildOptions, tiles: &TileSet) -> (Plan, Budget) {
         id: "storage".into(),
         on: true,
         form: "f32".into(),
-        bound: Bound::vertical(STATED_HEIGHT_M * f64::from(f32::EPSILON) / 2.0),
+        bound: Bound::vertical(rounding_m(STATED_HEIGHT_M)),
         cost: "none".into(),
         cause: "numpy and GDAL read f32".into(),
         reason: format!(
@@ -100,7 +106,7 @@ fn operation_steps(options: &BuildOptions, tiles: &TileSet, steps: &mut Vec<Step
             id: "datum".into(),
             on,
             form: if shift > 0.0 { operation.name.clone() } else { "null shift".into() },
-            bound: Bound::horizontal(if left_out { datum_bound_m(operation) } else { 0.0 }),
+            bound: Bound::horizontal(if left_out { datum_bound_m(shift) } else { 0.0 }),
             cost: "3 x 3 rotation per projected point".into(),
             cause: format!("{} is not WGS 84: {shift:.3} m here", crs.spec.name),
             reason: if left_out {

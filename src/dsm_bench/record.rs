@@ -39,12 +39,16 @@ pub struct Record {
     pub max_m: Option<f64>,
     /// Mean height, metres.
     pub mean_m: Option<f64>,
-    /// Steepest gradient between neighbouring lidar cells in the footprint, metres per metre.
+    /// Steepest gradient between neighbouring lidar cells within the horizontal bounds of the
+    /// footprint, metres per metre; beside no-data twice the range of the valid ones among four
+    /// cells stands for a step.
     pub steepest: Option<f64>,
-    /// Bound on the error of height that all steps together make, metres; `None` for `nearest`,
-    /// which steps from cell to cell.
+    /// Bound on the error of height that all steps together make, metres, for pixels that are not
+    /// counted in `uncertain_px`; with `average` and with widened kernels also only for pixels whose
+    /// support has no cell without data. `None` for `nearest`, which steps from cell to cell.
     pub height_bound_m: Option<f64>,
-    /// Pixels whose validity could flip within the horizontal bound.
+    /// Pixels for which the no-data cells around them decide, within the horizontal bounds, whether
+    /// they have a value, or by which rule.
     pub uncertain_px: Option<u64>,
     /// Pixels without bare-earth data, per cent, where a `dtm` was asked for.
     pub dtm_nan_pct: Option<f64>,

@@ -282,9 +282,19 @@ impl Found {
             }
         };
         let crs = match self.specs.iter().position(|known| same_horizontal(known, spec)) {
-            Some(known) => known,
+            Some(known) => {
+                // A step that is left out is left out everywhere: its bound is that of the tile where
+                // it is largest, and where it is above the tolerance it is taken after all.
+                let shift_m = self.crs[known].operation.datum_shift_m;
+                if leaves_out(shift_m, options) {
+                    let here = resolve_for(header, spec, options, shift_m)
+                        .map_err(|source| BenchError::Crs { path: header.path.clone(), source })?;
+                    self.crs[known] = here;
+                }
+                known
+            }
             None => {
-                let resolved = resolve_for(header, spec, options)
+                let resolved = resolve_for(header, spec, options, 0.0)
                     .map_err(|source| BenchError::Crs { path: header.path.clone(), source })?;
                 self.specs.push(spec.clone());
                 self.crs.push(resolved);
@@ -346,11 +356,29 @@ fn same_horizontal(a: &CrsSpec, b: &CrsSpec) -> bool {
     }
 }
 
-/// Resolves a CRS for the area of the first tile that has it: one operation per CRS and run.
+/// Whether a datum step that moves positions so far is left out: its bound is under the tolerance,
+/// which takes one of metres.
+fn leaves_out(shift_m: f64, options: &BuildOptions) -> bool {
+    shift_m > 0.0 && datum_bound_m(shift_m) < options.tolerance_m && options.operation.is_none()
+}
+
+/// Error of leaving a datum step out, metres: 5 % covers the change of the shift around a tile.
+pub(super) fn datum_bound_m(shift_m: f64) -> f64 {
+    1.05 * shift_m
+}
+
+/// Whether an operation's datum step is applied.
+pub(super) fn moves_points(operation: &OperationInfo, options: &BuildOptions) -> bool {
+    operation.datum_shift_m > 0.0 && !leaves_out(operation.datum_shift_m, options)
+}
+
+/// Resolves a CRS for the area of a tile that has it; `least_shift_m` is what its datum step moves
+/// positions elsewhere.
 fn resolve_for(
     header: &RasterHeader,
     spec: &CrsSpec,
     options: &BuildOptions,
+    least_shift_m: f64,
 ) -> Result<ResolvedCrs, CrsError> {
     let mut asked = ResolveOptions {
         operation: options.operation.clone(),
@@ -371,25 +399,14 @@ fn resolve_for(
         a.lat_deg.max(b.lat_deg),
     ]);
     let resolved = resolve(spec, &asked)?;
-    if resolved.operation.datum_shift_m > 0.0 && !moves_points(&resolved.operation, options) {
+    let shift_m = resolved.operation.datum_shift_m.max(least_shift_m);
+    if leaves_out(shift_m, options) {
         asked.without_datum_step = true;
         let mut without = resolve(spec, &asked)?;
-        without.operation.datum_shift_m = resolved.operation.datum_shift_m;
+        without.operation.datum_shift_m = shift_m;
         return Ok(without);
     }
     Ok(resolved)
-}
-
-/// Whether an operation's datum step is applied. One whose bound is under the tolerance is left out,
-/// which takes a tolerance of metres.
-pub(super) fn moves_points(operation: &OperationInfo, options: &BuildOptions) -> bool {
-    let named = options.operation.is_some();
-    operation.datum_shift_m > 0.0 && (named || datum_bound_m(operation) >= options.tolerance_m)
-}
-
-/// Error of leaving a datum step out, metres: 5 % covers the change of the shift over a region.
-pub(super) fn datum_bound_m(operation: &OperationInfo) -> f64 {
-    1.05 * operation.datum_shift_m
 }
 
 struct VerticalUnit {

@@ -2,7 +2,7 @@
 
 use super::GROUND_TOLERANCE;
 use super::options::InferOptions;
-use crate::footprint::{TRAINING_WIDTH_M, VerticalScale};
+use crate::footprint::{Footprint, TRAINING_WIDTH_M, VerticalScale};
 use crate::illumination::Illumination;
 use crate::model::mesh::MeshLattice;
 use crate::model::network::Execution;
@@ -29,6 +29,16 @@ pub struct Inputs<'a> {
     pub execution: Option<Execution>,
 }
 
+/// Metres of height per cube unit of an image as large on the ground as those of the training: for
+/// these the bounds are stated. Under [`VerticalScale::Isotropic`] those of another image are in
+/// proportion to its ground.
+pub fn usual_metres_per_unit(vertical: VerticalScale) -> f64 {
+    Footprint::of_training([256; 2]).vertical_metres_per_unit(vertical, CROP_SCALE)
+}
+
+/// Share of the cube that a crop of the released network fills.
+const CROP_SCALE: f64 = 0.8;
+
 /// Resolves the plan.
 pub fn resolve(options: &InferOptions, inputs: &Inputs<'_>) -> Plan {
     let mut steps = network_steps(options, inputs);
@@ -52,7 +62,8 @@ fn network_steps(options: &InferOptions, inputs: &Inputs<'_>) -> Vec<Step> {
         Some([across, down]) => format!("--gsd {across},{down} m per pixel"),
         None => "from name or georeference".into(),
     };
-    let precision = precision_step(inputs.execution, &options.compute);
+    let precision =
+        precision_step(inputs.execution, &options.compute, usual_metres_per_unit(options.vertical));
     let how = precision.form.clone();
     vec![
         Step::exact(
@@ -168,7 +179,8 @@ fn height_steps(options: &InferOptions) -> Vec<Step> {
         Sampling::Stable => ("stable", STABLE_RMS, "--sampling stable"),
     };
     let measured = render.samples == SampleCounts::default();
-    let rms_m = if on && measured { rms * TRAINING_WIDTH_M / 2.0 } else { 0.0 };
+    let unit_m = usual_metres_per_unit(options.vertical);
+    let rms_m = if on && measured { rms * unit_m } else { 0.0 };
     let reason = match (on, measured) {
         (true, true) => format!(
             "{why}; measured, not proven: rms against the exact integral on closed-form fields, the worst of four, depth normalised"
@@ -198,7 +210,8 @@ fn height_steps(options: &InferOptions) -> Vec<Step> {
             "--vertical-scale isotropic: as many metres per cube unit up as across",
         ),
     };
-    let storage_m = TRAINING_WIDTH_M / 0.8 * f64::from(f32::EPSILON) / 4.0;
+    // Half a step of 32 bits under 1, and a whole one of the metres that a GeoTIFF holds.
+    let storage_m = 0.75 * 2.0 * unit_m * f64::from(f32::EPSILON);
     vec![
         Step {
             bound: Bound::vertical(rms_m),

@@ -17,6 +17,7 @@ use crate::model::render::SampleCounts;
 use crate::model::{Checkpoint, Config, Model};
 use crate::picture;
 use crate::plan::Plan;
+use crate::plan::network::at_scale;
 use crate::weights::{self, Identity, Origin, Weights};
 use serde::Serialize;
 use std::collections::{HashMap, HashSet};
@@ -148,7 +149,9 @@ pub fn prepare(mut options: InferOptions) -> Result<Prepared, InferError> {
     let model = checkpoint
         .as_ref()
         .map(|checkpoint| {
-            let execution = options.compute.choose(checkpoint.config())?;
+            let metres_per_unit = explain::usual_metres_per_unit(options.vertical);
+            let execution =
+                at_scale(&options.compute, metres_per_unit).choose(checkpoint.config())?;
             Model::of_checkpoint(checkpoint, &execution)
         })
         .transpose()?;

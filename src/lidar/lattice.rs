@@ -139,6 +139,23 @@ impl Lattice {
         libm::hypot(self.pixel_width, self.pixel_height) / (1_i64 << (self.bits + 1)) as f64
     }
 
+    /// Binary digits to which the phase is rounded.
+    #[must_use]
+    pub const fn phase_bits(&self) -> u32 {
+        self.bits
+    }
+
+    /// Largest displacement of a coordinate within `window`, CRS units: the phase's rounding, and
+    /// that of `f64` so far from the CRS's origin (a quotient and a difference here, a quotient in
+    /// the phase), which with a fine phase is the larger part.
+    #[must_use]
+    pub fn bound(&self, window: LatticeWindow) -> f64 {
+        let far = |first: i64, beyond: i64| first.abs().max(beyond.abs()) as f64;
+        let x = far(window.col, window.right()) * self.pixel_width;
+        let y = far(window.row, window.bottom()) * self.pixel_height;
+        self.phase_bound() + 1.5 * f64::EPSILON * libm::hypot(x, y)
+    }
+
     /// Lattice coordinate of a position in CRS units: columns to the east, rows to the south.
     #[must_use]
     pub fn coordinate(&self, at: Projected) -> PixelPoint {

@@ -141,7 +141,8 @@ impl PixelToCrs {
 /// Bounds on the displacement of each polynomial form for one image, CRS units.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FitErrors {
-    /// The 3 x 3 polynomial: the largest miss at the four corners, times 1.5.
+    /// The 3 x 3 polynomial: the largest miss at the four corners, times 1.5, and the rounding of
+    /// positions.
     pub chebyshev: f64,
     /// That, and the cross terms.
     pub separable: f64,
@@ -194,6 +195,11 @@ struct Polynomial {
 /// The three Chebyshev nodes of degree 3, `cos(pi (k + 1/2) / 3)`: +-sqrt(3)/2 and 0.
 const NODES: [f64; 3] = [0.866_025_403_784_438_6, 0.0, -0.866_025_403_784_438_6];
 
+/// What rounding moves a projected position, CRS units: a step of `f64` at half the Earth's
+/// circumference in feet, because longitudes are rounded at up to 180 degrees. Nine such positions
+/// make the polynomial, whose weights at a corner sum to 2.8.
+const ROUNDING: f64 = 6.6e7 * f64::EPSILON;
+
 /// `T_0`, `T_1`, `T_2` at `u`.
 const fn chebyshev(u: f64) -> [f64; 3] {
     [1.0, u, 2.0 * u * u - 1.0]
@@ -236,7 +242,15 @@ impl PixelMap {
             libm::hypot(sum(&col) * lattice.pixel_width, sum(&row) * lattice.pixel_height)
         };
         let cross = [(1, 1), (2, 1), (1, 2), (2, 2)];
-        let chebyshev_bound = 1.5 * corner_miss;
+        let rounding = match &exact {
+            PixelToCrs::Box { north_west: a, south_east: b, .. } => {
+                let far =
+                    [a.x, a.y, b.x, b.y].into_iter().fold(0.0, |far: f64, v| far.max(v.abs()));
+                4.0 * f64::EPSILON * far
+            }
+            _ => ROUNDING,
+        };
+        let chebyshev_bound = 1.5 * corner_miss + rounding;
         let separable_bound = chebyshev_bound + dropped(&cross);
         let errors = FitErrors {
             chebyshev: chebyshev_bound,

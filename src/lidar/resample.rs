@@ -49,18 +49,6 @@ impl Resampling {
             Self::Cubic => 2.0,
         }
     }
-
-    /// Largest slope of the interpolated surface over the largest slope between neighbouring
-    /// cells: 1 for bilinear; the sum over taps of |derivative| of Keys' kernel stays under 2.5 in
-    /// two dimensions. `None` where the surface has steps (nearest).
-    #[must_use]
-    pub const fn slope_factor(self) -> Option<f64> {
-        match self {
-            Self::Nearest => None,
-            Self::Bilinear | Self::Average => Some(1.0),
-            Self::Cubic => Some(2.5),
-        }
-    }
 }
 
 /// What happens at the border of valid data.
@@ -95,6 +83,48 @@ impl Cells<'_> {
     }
 }
 
+/// How many cells of a window have no data, as sums over the rectangle north-west of each corner.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Holes {
+    col: i64,
+    row: i64,
+    width: usize,
+    height: usize,
+    sums: Vec<u32>,
+}
+
+impl Holes {
+    /// Counts those of a window.
+    pub fn count(&mut self, cells: &Cells<'_>) {
+        let Cells { data, col, row, width, height } = *cells;
+        (self.col, self.row, self.width, self.height) = (col, row, width, height);
+        self.sums.clear();
+        self.sums.resize((width + 1) * (height + 1), 0);
+        for (r, line) in data.chunks_exact(width).enumerate() {
+            let mut sum = 0;
+            for (c, value) in line.iter().enumerate() {
+                sum += u32::from(value.is_nan());
+                self.sums[(r + 1) * (width + 1) + c + 1] = self.sums[r * (width + 1) + c + 1] + sum;
+            }
+        }
+    }
+
+    /// Whether a rectangle (first and last column, first and last row) holds both cells with data
+    /// and cells without; beyond the window there are none.
+    fn mixed(&self, cols: (i64, i64), rows: (i64, i64)) -> bool {
+        let inside = |v: i64, origin: i64, size: usize| (v - origin).clamp(0, size as i64) as usize;
+        let (left, right) =
+            (inside(cols.0, self.col, self.width), inside(cols.1 + 1, self.col, self.width));
+        let (top, bottom) =
+            (inside(rows.0, self.row, self.height), inside(rows.1 + 1, self.row, self.height));
+        let sum = |r: usize, c: usize| self.sums[r * (self.width + 1) + c];
+        let holes = sum(bottom, right) + sum(top, left) - sum(top, right) - sum(bottom, left);
+        let data = ((right - left) * (bottom - top)) as u32 - holes;
+        let all = (cols.1 + 1 - cols.0) * (rows.1 + 1 - rows.0);
+        data > 0 && i64::from(data) < all
+    }
+}
+
 /// A kernel made ready for one image: its form, widening, and how near an edge is too near to tell.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Kernel {
@@ -107,6 +137,8 @@ pub(super) struct Kernel {
     /// Displacement that could flip a pixel's validity, in cells.
     flip_x: f64,
     flip_y: f64,
+    /// Holes are counted around each point, because more than its own taps decide.
+    far: bool,
 }
 
 /// What a kernel made of one pixel.
@@ -114,8 +146,23 @@ pub(super) struct Kernel {
 pub(super) struct Sample {
     /// Interpolated value or NaN.
     pub value: f64,
-    /// The pixel's validity would change within the horizontal bound.
+    /// What the no-data cells around the point decide would change within the horizontal bound
+    /// (told for bounds under [`NEAR_CELLS`]; see [`Kernel::flips_far`]).
     pub flips: bool,
+}
+
+/// Reach, in cells, up to which the taps of a point show every cell that it could come to lie in.
+pub(super) const NEAR_CELLS: f64 = 0.5;
+
+/// What the cells without data make of a point.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Support {
+    /// No value.
+    None,
+    /// A value from a part of the taps: for `cubic`, the bilinear one.
+    Part,
+    /// A value as if there were no holes.
+    Whole,
 }
 
 impl Kernel {
@@ -130,9 +177,15 @@ impl Kernel {
         let kernel_has_width = matches!(resampling, Resampling::Bilinear | Resampling::Cubic);
         let widened = kernel_has_width && (wide(cells_per_pixel.0) || wide(cells_per_pixel.1));
         let ratio = |cells: f64| if widened { cells.max(1.0) } else { 1.0 };
+        let flip = flip_cells.0.max(flip_cells.1);
+        let average = resampling == Resampling::Average;
+        let far = flip >= NEAR_CELLS
+            || (edge == EdgeRule::Strict && (widened || average))
+            || (average && 4.0 * flip > cells_per_pixel.0.min(cells_per_pixel.1));
         Self {
             resampling,
             edge,
+            far,
             widen_x: ratio(cells_per_pixel.0),
             widen_y: ratio(cells_per_pixel.1),
             widened,
@@ -141,10 +194,34 @@ impl Kernel {
         }
     }
 
-    /// Cells needed beyond the points' bounding box, per axis.
+    /// Cells needed beyond the points' bounding box, per axis: those that the kernel touches
+    /// wherever within the horizontal bound a point may be.
     pub fn margin(&self) -> (i64, i64) {
-        let cells = |ratio: f64| (self.resampling.radius() * ratio).ceil() as i64 + 1;
-        (cells(self.widen_x), cells(self.widen_y))
+        let cells = |ratio: f64, flip: f64| {
+            (self.resampling.radius() * ratio).ceil() as i64 + (flip.ceil() as i64).max(1)
+        };
+        (cells(self.widen_x, self.flip_x), cells(self.widen_y, self.flip_y))
+    }
+
+    /// Largest slope of what is interpolated over the largest slope between neighbouring cells:
+    /// 1 for bilinear; 2 where it is widened (normalised tents ripple: 1.95 at a ratio of 1.51);
+    /// 2.5 for cubic (the sum over taps of |derivative| of Keys' kernel, in two dimensions, stays
+    /// under that). A mean over `width` cells passes `1 / width` steps per cell, and one more where
+    /// it ends within a cell. `None` where the surface has steps (nearest).
+    pub fn slope_factor(&self, width: f64) -> Option<f64> {
+        match self.resampling {
+            Resampling::Nearest => None,
+            Resampling::Bilinear if self.widened => Some(2.0),
+            Resampling::Bilinear => Some(1.0),
+            Resampling::Cubic => Some(2.5),
+            Resampling::Average => Some(1.0 + 1.0 / width),
+        }
+    }
+
+    /// Whether holes must be counted around each point ([`Self::flips_far`]): the horizontal bound is
+    /// large, or a whole support decides whether there is a value.
+    pub fn reaches_far(&self) -> bool {
+        self.far
     }
 
     /// Whether every pixel takes the quick path of [`bilinear_row`].
@@ -156,7 +233,7 @@ impl Kernel {
     pub fn at_point(&self, cells: &Cells<'_>, x: f64, y: f64) -> Sample {
         let (col, row) = (x.floor() as i64, y.floor() as i64);
         let own = cells.at(col, row);
-        let flips = self.validity_flips(cells, x, y, own.is_nan());
+        let flips = self.flips_near(cells, x, y);
         let value = if own.is_nan() {
             f64::NAN
         } else {
@@ -176,14 +253,55 @@ impl Kernel {
         Sample { value, flips }
     }
 
-    /// Whether the cell across a border nearer than the horizontal bound has another validity.
-    fn validity_flips(&self, cells: &Cells<'_>, x: f64, y: f64, invalid: bool) -> bool {
-        let near = |v: f64, bound: f64| (v - v.round()).abs() <= bound;
-        let across =
-            |v: f64| if v - v.floor() < 0.5 { v.floor() as i64 - 1 } else { v.floor() as i64 + 1 };
-        let (col, row) = (x.floor() as i64, y.floor() as i64);
-        (near(x, self.flip_x) && cells.at(across(x), row).is_nan() != invalid)
-            || (near(y, self.flip_y) && cells.at(col, across(y)).is_nan() != invalid)
+    /// Whether what the no-data cells make of a point changes within a bound under [`NEAR_CELLS`].
+    /// It can only where a border or a middle of a cell is that near.
+    fn flips_near(&self, cells: &Cells<'_>, x: f64, y: f64) -> bool {
+        let near = |v: f64, bound: f64| (2.0 * v - (2.0 * v).round()).abs() <= 2.0 * bound;
+        if self.far || !(near(x, self.flip_x) || near(y, self.flip_y)) {
+            return false;
+        }
+        let here = self.support(cells, x, y);
+        [-1.0, 0.0, 1.0].into_iter().any(|j| {
+            [-1.0, 0.0, 1.0]
+                .into_iter()
+                .any(|i| self.support(cells, x + i * self.flip_x, y + j * self.flip_y) != here)
+        })
+    }
+
+    fn support(&self, cells: &Cells<'_>, x: f64, y: f64) -> Support {
+        if cells.at(x.floor() as i64, y.floor() as i64).is_nan() {
+            return Support::None;
+        }
+        let reach = self.resampling.radius() as i64;
+        let matters = !self.widened
+            && (self.edge == EdgeRule::Strict || self.resampling == Resampling::Cubic);
+        if !matters || reach == 0 {
+            return Support::Whole;
+        }
+        let (left, top) = ((x - 0.5).floor() as i64, (y - 0.5).floor() as i64);
+        let whole = (top + 1 - reach..=top + reach)
+            .all(|row| (left + 1 - reach..=left + reach).all(|col| !cells.at(col, row).is_nan()));
+        match (whole, self.edge) {
+            (true, _) => Support::Whole,
+            (false, EdgeRule::Renormalise) => Support::Part,
+            (false, EdgeRule::Strict) => Support::None,
+        }
+    }
+
+    /// Whether the horizontal bound takes a point, or the box between two, both to cells with data
+    /// and to cells without.
+    pub fn flips_far(&self, holes: &Holes, a: (f64, f64), b: (f64, f64)) -> bool {
+        let taps = match (self.edge, self.resampling) {
+            (EdgeRule::Strict, _) | (_, Resampling::Cubic) => self.resampling.radius(),
+            _ => 0.0,
+        };
+        let cells = |a: f64, b: f64, flip: f64, widen: f64| {
+            let reach = flip + taps * widen;
+            ((a.min(b) - reach).floor() as i64, (a.max(b) + reach).floor() as i64)
+        };
+        let (left, right) = cells(a.0, b.0, self.flip_x, self.widen_x);
+        let (top, bottom) = cells(a.1, b.1, self.flip_y, self.widen_y);
+        holes.mixed((left, right), (top, bottom))
     }
 
     fn bilinear(&self, cells: &Cells<'_>, x: f64, y: f64) -> f64 {
@@ -336,6 +454,8 @@ pub(super) fn bilinear_row(
             flips += u32::from(sample.flips);
             (sample.value * metres_per_unit) as f32
         } else {
+            // Only the strict rule looks beyond the four taps.
+            flips += u32::from(kernel.edge == EdgeRule::Strict && kernel.flips_near(cells, x, y));
             (value * metres_per_unit) as f32
         };
     }

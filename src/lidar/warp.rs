@@ -1,6 +1,6 @@
 //! Warping a source onto an image grid, block by block, in bounded memory.
 
-use super::resample::{Cells, EdgeRule, Kernel, Resampling, bilinear_row};
+use super::resample::{Cells, EdgeRule, Holes, Kernel, Resampling, bilinear_row};
 use super::{LatticeWindow, PixelMap};
 use crate::crs::CrsError;
 use crate::raster::RasterError;
@@ -41,11 +41,15 @@ pub struct WarpSettings {
 pub struct WarpStatistics {
     /// Pixels with a value.
     pub valid: u64,
-    /// Pixels whose validity could flip within the horizontal bound.
+    /// Pixels for which the no-data cells around them decide, within the horizontal bound, whether
+    /// they have a value, or by which rule.
     pub uncertain: u64,
-    /// Steepest gradient between neighbouring source cells in the footprint, height units per CRS
-    /// unit (columns and rows combined).
+    /// Steepest gradient between neighbouring source cells within the horizontal bound of the
+    /// footprint, height units per CRS unit (columns and rows combined). Beside no-data, where
+    /// weights are renormalised, twice the range of the valid cells among four stands for a step.
     pub steepest: f64,
+    /// How much steeper than that the interpolated surface can be; `None` where it has steps.
+    pub slope_factor: Option<f64>,
 }
 
 /// Why a warp failed.
@@ -113,6 +117,7 @@ pub fn warp(
         scratch: Scratch::default(),
         statistics: WarpStatistics::default(),
         slope: (0.0, 0.0),
+        least_width: f64::INFINITY,
     };
     let mut blocks: Vec<Block> = (0..height)
         .step_by(BLOCK_ROWS as usize)
@@ -128,6 +133,7 @@ pub fn warp(
     let mut statistics = job.statistics;
     statistics.steepest =
         libm::hypot(job.slope.0 / lattice.pixel_width, job.slope.1 / lattice.pixel_height);
+    statistics.slope_factor = job.kernel.slope_factor(job.least_width);
     statistics.valid = out.iter().filter(|v| !v.is_nan()).count() as u64;
     Ok(statistics)
 }
@@ -139,6 +145,7 @@ struct Scratch {
     rows: Vec<f64>,
     cells: Vec<f32>,
     ids: Vec<u16>,
+    holes: Holes,
 }
 
 struct Job<'a> {
@@ -150,6 +157,8 @@ struct Job<'a> {
     statistics: WarpStatistics,
     /// Largest step between neighbouring cells, along columns and rows.
     slope: (f64, f64),
+    /// Shortest side of a box that was averaged, cells.
+    least_width: f64,
 }
 
 impl Job<'_> {
@@ -235,6 +244,10 @@ impl Job<'_> {
             self.slope.0 = self.slope.0.max(f64::from(steepest_step(line, &line[1..])));
         }
         self.slope.1 = self.slope.1.max(f64::from(steepest_step(cells, &cells[window.width..])));
+        if matches!(self.kernel.resampling, Resampling::Bilinear | Resampling::Cubic) {
+            let beside = 2.0 * f64::from(range_beside_holes(cells, window.width));
+            self.slope = (self.slope.0.max(beside), self.slope.1.max(beside));
+        }
     }
 
     fn fill(
@@ -245,8 +258,13 @@ impl Job<'_> {
         mut ids: Option<&mut [u16]>,
     ) {
         let image_width = self.map.size().0 as usize;
-        let scratch = &self.scratch;
         let LatticeWindow { col, row, width, height } = window;
+        let far = self.kernel.reaches_far();
+        if far {
+            let Scratch { cells: data, holes, .. } = &mut self.scratch;
+            holes.count(&Cells { data, col, row, width, height });
+        }
+        let scratch = &self.scratch;
         let cells = Cells { data: &scratch.cells, col, row, width, height };
         let columns = (block.x1 - block.x0) as usize;
         let average = self.kernel.resampling == Resampling::Average;
@@ -267,6 +285,8 @@ impl Job<'_> {
                         (next_xs[x + 1], next_ys[x + 1]),
                     );
                     uncertain += u32::from(sample.flips);
+                    let sides = (next_xs[x + 1] - xs[x]).abs().min((next_ys[x + 1] - ys[x]).abs());
+                    self.least_width = self.least_width.min(sides);
                     *out = (sample.value * self.metres_per_unit) as f32;
                 }
             } else if self.kernel.is_plain_bilinear() {
@@ -277,6 +297,16 @@ impl Job<'_> {
                     uncertain += u32::from(sample.flips);
                     *out = (sample.value * self.metres_per_unit) as f32;
                 }
+            }
+            if far {
+                let far_corner = |x: usize| {
+                    let k = points.start + x + if average { stride + 1 } else { 0 };
+                    (scratch.cols[k], scratch.rows[k])
+                };
+                let flips = |x: &usize| {
+                    self.kernel.flips_far(&scratch.holes, (xs[*x], ys[*x]), far_corner(*x))
+                };
+                uncertain = (0..columns).filter(flips).count() as u32;
             }
             self.statistics.uncertain += u64::from(uncertain);
             if let Some(ids) = ids.as_deref_mut() {
@@ -325,6 +355,25 @@ fn steepest_step(a: &[f32], b: &[f32]) -> f32 {
         }
     }
     top.into_iter().fold(0.0, f32::max)
+}
+
+/// Largest range of the valid cells among 2 x 2, of which some have data and some have none.
+fn range_beside_holes(cells: &[f32], width: usize) -> f32 {
+    let mut top: f32 = 0.0;
+    for (above, below) in cells.chunks_exact(width).zip(cells[width..].chunks_exact(width)) {
+        for (a, b) in above.windows(2).zip(below.windows(2)) {
+            let four = [a[0], a[1], b[0], b[1]];
+            // The sum is NaN if one is; with none or one left, the range is 0 or below.
+            if four.iter().sum::<f32>().is_nan() {
+                let (low, high) = four
+                    .iter()
+                    .filter(|v| !v.is_nan())
+                    .fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
+                top = top.max(high - low);
+            }
+        }
+    }
+    top
 }
 
 /// Cuts a block across its longer side; a single pixel cannot be cut.

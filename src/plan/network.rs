@@ -1,11 +1,28 @@
 //! The step that says how the network is calculated.
 
 use super::{Bound, Step};
+use crate::footprint::TRAINING_WIDTH_M;
 use crate::model::Device;
 use crate::model::network::{Engine, Execution, Precision, Wanted};
 
-/// The step of a network that runs so, or (`None`) of inputs that need none.
-pub(crate) fn precision_step(execution: Option<Execution>, wanted: &Wanted) -> Step {
+/// How much larger an error of height comes out, in metres, than at the published scale, at which
+/// the model crate states it.
+fn stretch(metres_per_unit: f64) -> f64 {
+    metres_per_unit / (TRAINING_WIDTH_M / 2.0)
+}
+
+/// What to ask of the model crate so that the tolerance holds at so many metres per cube unit.
+pub(crate) fn at_scale(wanted: &Wanted, metres_per_unit: f64) -> Wanted {
+    Wanted { tolerance_m: wanted.tolerance_m / stretch(metres_per_unit), ..*wanted }
+}
+
+/// The step of a network that runs so, or (`None`) of inputs that need none, for heights of so many
+/// metres per cube unit.
+pub(crate) fn precision_step(
+    execution: Option<Execution>,
+    wanted: &Wanted,
+    metres_per_unit: f64,
+) -> Step {
     let form = execution.map_or_else(|| "no network".to_owned(), |execution| kind(&execution));
     let Execution { engine, precision, .. } = execution.unwrap_or_default();
     let named = wanted.engine.is_some() || wanted.precision.is_some();
@@ -13,8 +30,9 @@ pub(crate) fn precision_step(execution: Option<Execution>, wanted: &Wanted) -> S
         (None, _) => "the inputs are scenes already".to_owned(),
         _ if named => "as --engine and --precision say".to_owned(),
         (_, Engine::OneDnn) => format!(
-            "the fastest here whose bound is within --tolerance {} m (at 64.48 m per unit)",
-            wanted.tolerance_m
+            "the fastest here whose bound is within --tolerance {} m (at {:.2} m per unit)",
+            wanted.tolerance_m,
+            2.0 * metres_per_unit
         ),
         (_, Engine::Burn) => "what every machine and every network can".to_owned(),
     };
@@ -30,7 +48,7 @@ pub(crate) fn precision_step(execution: Option<Execution>, wanted: &Wanted) -> S
         on: execution.is_some(),
         form,
         // Measured on made-up weights, harder ones among them.
-        bound: Bound::vertical(precision.bound().p95_m),
+        bound: Bound::vertical(precision.bound().p95_m * stretch(metres_per_unit)),
         cost: cost.into(),
         cause: "products and sums are rounded".into(),
         reason,

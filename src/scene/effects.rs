@@ -115,7 +115,7 @@ impl FromStr for Effect {
 /// What a user may change about the plan.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Options {
-    /// Effects whose bound is not above this are left out.
+    /// The smallest effects are left out, as far as their bounds together are not above this.
     pub tolerance: Metres,
     /// Effects to simulate whatever their bound and cause (`--force`).
     pub force: BTreeSet<Effect>,
@@ -214,6 +214,33 @@ struct Case {
     always: bool,
 }
 
+impl Case {
+    /// The larger of what leaving it out can displace and what it can raise, metres.
+    fn size(&self) -> f64 {
+        self.bound.horizontal_m.max(self.bound.vertical_m)
+    }
+}
+
+/// Effects that the scene calls for and the tolerance leaves out, the smallest first: as many as
+/// together stay within it, in position and in height. What `--without` names is not among them.
+fn under_tolerance(cases: &[Case], options: &Options) -> BTreeSet<Effect> {
+    let free = |effect| !options.force.contains(effect) && !options.without.contains(effect);
+    let mut cases: Vec<&Case> =
+        cases.iter().filter(|c| c.present && !c.always && free(&c.effect)).collect();
+    cases.sort_by(|a, b| a.size().total_cmp(&b.size()));
+    let mut sum = Bound::EXACT;
+    let mut small = BTreeSet::new();
+    for case in cases {
+        let horizontal_m = sum.horizontal_m + case.bound.horizontal_m;
+        let vertical_m = sum.vertical_m + case.bound.vertical_m;
+        if horizontal_m.max(vertical_m) <= options.tolerance.0 {
+            sum = Bound { horizontal_m, vertical_m };
+            small.insert(case.effect);
+        }
+    }
+    small
+}
+
 /// Resolves the plan of a scene.
 ///
 /// # Errors
@@ -225,13 +252,15 @@ pub fn resolve(
     terrain: &Terrain,
 ) -> Result<(Effects, Plan), SceneError> {
     let heights = HeightBounds::new(spec, terrain);
+    let cases = cases(spec, frame, terrain, &heights);
+    let small = under_tolerance(&cases, options);
     let mut on = BTreeSet::new();
     let mut steps = vec![projection_step()];
-    for case in cases(spec, frame, terrain, &heights) {
-        let size = case.bound.horizontal_m.max(case.bound.vertical_m);
+    for case in cases {
+        let size = case.size();
         let forced = options.force.contains(&case.effect);
         let banned = options.without.contains(&case.effect);
-        let wanted = case.present && (case.always || size > options.tolerance.0);
+        let wanted = case.present && !small.contains(&case.effect);
         let runs = !banned && case.possible && (forced || wanted);
         if runs {
             on.insert(case.effect);
@@ -242,6 +271,9 @@ pub fn resolve(
             (true, true, ..) => "asked for by --force".to_owned(),
             (_, _, _, false) => "the scene has no cause for it".to_owned(),
             (true, ..) if case.always => "the scene asks for it".to_owned(),
+            (true, ..) if size <= options.tolerance.0 => {
+                format!("its {size:.2e} m and what is left out already exceed the tolerance")
+            }
             (true, ..) => format!("without it the error could reach {size:.2e} m"),
             (false, ..) => format!("its {size:.2e} m are under the tolerance"),
         };
@@ -259,7 +291,7 @@ pub fn resolve(
             reason,
         });
     }
-    steps.push(units_step(heights.highest));
+    steps.push(units_step(&heights, 4.0 * spec.lidar.noise_sigma_metres));
     steps.extend(picture_steps(spec));
     let mut parameters = serde_json::Map::new();
     parameters.insert("scene".to_owned(), serde_json::to_value(spec).unwrap_or_default());
@@ -320,10 +352,13 @@ fn picture_steps(spec: &SceneSpec) -> [Step; 3] {
     ]
 }
 
-fn units_step(highest_m: f64) -> Step {
-    // Half a step of a 32-bit float at the highest value, in feet.
-    let feet = (highest_m / crate::units::US_SURVEY_FOOT_M) as f32;
-    let half_step = f64::from(f32::from_bits(feet.abs().to_bits() + 1) - feet.abs()) / 2.0;
+fn units_step(heights: &HeightBounds, noise_m: f64) -> Step {
+    // Half a step of a 32-bit float at the largest value, in feet: low land may lie deeper than it
+    // stands high.
+    let lowest = heights.highest - heights.above_ground - heights.ground_range;
+    let largest_m = heights.highest.abs().max(lowest.abs()) + noise_m;
+    let feet = (largest_m / crate::units::US_SURVEY_FOOT_M) as f32;
+    let half_step = f64::from(feet.next_up() - feet) / 2.0;
     Step {
         id: "units".to_owned(),
         on: true,
@@ -374,8 +409,13 @@ fn geometry_cases(
     let lean = spec
         .view
         .map_or(0.0, |v| heights.above_ground * libm::tan(v.off_nadir_degrees.to_radians()));
-    let longest = shadow.max(lean);
+    // A shadow's end on a roof is displaced as the shadow and as the roof: what stands on the lowest
+    // ground and leans takes the shadow of the highest.
+    let over_roofs = if tan_sun.is_finite() { heights.ground_range / tan_sun } else { 0.0 };
+    let longest = if lean > 0.0 { shadow.max(lean + over_roofs) } else { shadow };
     let drop = shadow * shadow / (2.0 * WGS84_A);
+    // The Earth's radius of curvature in Washington is within 0.2 % of the equator's.
+    let of_radius = 2e-3 * drop;
     let sky = match (&spec.sun, &spec.view) {
         (None, None) => "no sun, satellite at nadir".to_owned(),
         (Some(s), None) => format!("sun {} deg high", s.elevation_degrees),
@@ -398,7 +438,8 @@ fn geometry_cases(
             possible: true,
             cause: "images are WGS 84, lidar is NAD83(HARN)".to_owned(),
             form: "7-parameter shift as PROJ defines it",
-            bound: Bound::horizontal(frame.datum_shift_m()),
+            // Over a scene the shift changes by far less than 1 %.
+            bound: Bound::horizontal(1.01 * frame.datum_shift_m()),
             remains: Bound::EXACT,
             cost: "0.1 us per pixel",
             always: false,
@@ -456,7 +497,7 @@ fn geometry_cases(
             ),
             form: "parabola, per cell of the index",
             bound: Bound { horizontal_m: drop / tan_sun, vertical_m: drop },
-            remains: Bound::vertical(3e-6),
+            remains: Bound { horizontal_m: of_radius / tan_sun, vertical_m: 3e-6 + of_radius },
             cost: "5 ns per cell",
             always: false,
         },

@@ -123,6 +123,18 @@ impl Scene {
         }
     }
 
+    /// Light of the sun as the plan has it; `None` under an overcast sky.
+    #[must_use]
+    pub const fn sun(&self) -> Option<SunRay> {
+        self.sun
+    }
+
+    /// Horizontal way towards the satellite per metre of height (local frame), as the plan has it.
+    #[must_use]
+    pub const fn lean(&self) -> [f64; 2] {
+        self.lean
+    }
+
     /// Whether lidar and images see different scenes.
     #[must_use]
     pub fn changes(&self) -> bool {

@@ -1,7 +1,7 @@
 //! The plan of a run: each step with its bound, cost and cause.
 
 use super::city::City;
-use super::dsm::DsmGrid;
+use super::dsm::{DsmGrid, TRANSFORM_BUDGET_M};
 use super::finish::parse_srs;
 use super::layout::{AxisWindows, Blend, WINDOW};
 use super::network::TileLattice;
@@ -45,7 +45,7 @@ pub struct Inputs<'a> {
 pub fn resolve(options: &TileOptions, inputs: &Inputs<'_>) -> Plan {
     let mut steps = picture_steps(inputs);
     steps.extend(window_steps(options, inputs));
-    steps.push(precision_step(Some(inputs.execution), &options.compute));
+    steps.push(precision_step(Some(inputs.execution), &options.compute, inputs.city.vertical_m));
     steps.extend(height_steps(options, inputs));
     steps.extend(surface_steps(options, inputs));
     Plan {
@@ -139,9 +139,11 @@ fn window_steps(options: &TileOptions, inputs: &Inputs<'_>) -> Vec<Step> {
             cost: format!("{points} densities per window"),
             bound: match options.lattice {
                 TileLattice::Pixels => Bound::EXACT,
-                // Up to one voxel of the released grid.
+                // Up to one voxel of the released grid along both axes; 319 of them span what 320 pixels
+                // of a window would.
                 TileLattice::Reference => {
-                    Bound::horizontal(inputs.city.gsd_m().into_iter().fold(0.0, f64::max))
+                    let [across, down] = inputs.city.gsd_m();
+                    Bound::horizontal(320.0 / 319.0 * libm::hypot(across, down))
                 }
             },
             ..Step::exact(
@@ -238,16 +240,23 @@ fn height_steps(options: &TileOptions, inputs: &Inputs<'_>) -> Vec<Step> {
                 },
             ],
         ),
-        Step::exact(
-            "warp",
-            warp.is_some(),
-            warp.map_or_else(|| "bilinear".to_owned(), |to| format!("bilinear to {to}")),
-            [
-                "one projection and four heights per pixel",
-                "a CRS other than the picture's",
-                if warp.is_some() { "--t_srs" } else { "the DSM has the picture's own pixels" },
-            ],
-        ),
+        Step {
+            bound: if warp.is_some() {
+                Bound::horizontal(TRANSFORM_BUDGET_M)
+            } else {
+                Bound::EXACT
+            },
+            ..Step::exact(
+                "warp",
+                warp.is_some(),
+                warp.map_or_else(|| "bilinear".to_owned(), |to| format!("bilinear to {to}")),
+                [
+                    "one projection and four heights per pixel",
+                    "a CRS other than the picture's",
+                    if warp.is_some() { "--t_srs" } else { "the DSM has the picture's own pixels" },
+                ],
+            )
+        },
         Step::exact(
             "dsm",
             dsm.is_some(),

@@ -1,6 +1,7 @@
 //! All end-to-end and integration tests as one program: forty of them would each link GDAL, PROJ and the network once more,
 //! which takes minutes and gigabytes. `cargo test --test suite tile::` runs those of one file.
 
+mod bounds;
 mod cli;
 mod common;
 mod crs_definitions;

@@ -18,7 +18,7 @@ use std::sync::Arc;
 /// Columns of one piece of a warped band: small enough that a polynomial serves for the projection.
 const BLOCK: u32 = 256;
 /// Displacement that a polynomial in the place of one projection per pixel may cause, metres.
-const TRANSFORM_BUDGET_M: f64 = 1e-6;
+pub const TRANSFORM_BUDGET_M: f64 = 1e-6;
 /// Positions on each side of the city from which its extent in another CRS is taken.
 const SIDE_POINTS: u32 = 256;
 /// An extent that reaches less than this into a further pixel does not get it.

@@ -8,6 +8,7 @@ mod preview;
 mod tests;
 
 pub use grid::DsmGrid;
+pub(super) use grid::TRANSFORM_BUDGET_M;
 
 use super::city::City;
 use super::seams::{SeamCounter, SeamMeasure, Windows};
