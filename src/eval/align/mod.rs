@@ -7,6 +7,8 @@
 
 mod coregister;
 mod fit;
+#[cfg(test)]
+mod hard_cases;
 mod offset;
 mod phase;
 mod resample;

@@ -257,4 +257,6 @@ impl Pixels {
 }
 
 #[cfg(test)]
+mod hard_cases;
+#[cfg(test)]
 mod tests;
