@@ -4,8 +4,9 @@
 use super::Surface;
 use super::resize::{Resize, resize};
 use crate::random::Draw;
+use num_bigint::BigInt;
 use num_rational::BigRational;
-use num_traits::{ToPrimitive, Zero};
+use num_traits::ToPrimitive;
 
 /// A surface of noise about an offset, metres.
 fn surface(side: usize, offset: f64, reach: f64) -> Surface {
@@ -14,11 +15,19 @@ fn surface(side: usize, offset: f64, reach: f64) -> Surface {
     Surface::new(side, side, values)
 }
 
-/// The mean over all of a surface in fractions.
+/// The mean over all of a surface, rounded once: every 32-bit float is a whole number of 2^-149.
 fn exact_mean(surface: &Surface) -> f64 {
-    let whole = |value: f64| BigRational::from_float(value).expect("finite");
-    let sum = surface.values.iter().fold(BigRational::zero(), |sum, v| sum + whole((*v).into()));
-    (sum / whole(surface.values.len() as f64)).to_f64().expect("a number")
+    let whole = |value: &f32| {
+        let (exponent, fraction) = (value.to_bits() >> 23 & 0xFF, value.to_bits() & 0x007F_FFFF);
+        let size = match exponent {
+            0 => BigInt::from(fraction),
+            _ => BigInt::from(fraction | 0x0080_0000) << (exponent - 1),
+        };
+        if value.is_sign_negative() { -size } else { size }
+    };
+    let sum: BigInt = surface.values.iter().map(whole).sum();
+    let mean = BigRational::new(sum, BigInt::from(surface.values.len()) << 149);
+    mean.to_f64().expect("a number")
 }
 
 #[test]
@@ -34,7 +43,7 @@ fn a_mean_over_an_area_does_not_lose_relief_on_a_plateau() {
         // One rounding to 32 bits.
         assert!(ours <= 6e-8 * want.abs(), "{offset}: {got} {want}");
         if offset == 4_000.0 {
-            assert!(theirs > 0.05, "{theirs}");
+            assert!(theirs > 1.0, "{theirs}");
         }
     }
 }
@@ -50,7 +59,7 @@ fn areas_of_no_common_measure_are_shared_without_remainder() {
     // Edges found by adding the step up in 32 bits: the last one falls outside of the source or short of it.
     let step = 641.0_f32 / 640.0;
     let end = (0..640).fold(0.0, |at, _| at + step);
-    assert!((f64::from(end) - 641.0).abs() > 1e-3, "{end}");
+    assert!((f64::from(end) - 641.0).abs() > 5e-4, "{end}");
 }
 
 #[test]

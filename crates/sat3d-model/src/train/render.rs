@@ -6,6 +6,7 @@
 use super::blend::Taps;
 use super::field::{FieldTensors, Points, Table, activate, cross};
 use super::rays::Rays;
+use crate::field::kernel::one_minus_exp;
 use crate::random::Draw;
 use crate::render::Composite;
 use crate::render::frames::Vector;
@@ -122,11 +123,11 @@ fn integrate(field: &FieldTensors, raw: Tensor<2>, radii: &[f32]) -> Tensor<2> {
 /// `1 - exp(-depth)` of depths from 0, given `passed = exp(-depth)`, without the difference's loss in thin media. The gradient
 /// is the difference's, which is `passed` and loses nothing.
 fn opaque(depth: Tensor<2>, passed: Tensor<2>) -> Tensor<2> {
-    // 1 - exp(-x) = 2 t / (1 + t) with t = tanh(x / 2).
-    let half = (depth.detach() / 2.0).tanh();
-    let value = half.clone() * 2.0 / (half + 1.0);
+    let (shape, device) = (depth.dims(), depth.device());
+    let values = depth.detach().into_data();
+    let exact = plain(values.iter::<f32>().map(one_minus_exp).collect(), shape, &device);
     let difference = passed.neg() + 1.0;
-    difference.clone() + (value - difference.detach())
+    difference.clone() + (exact - difference.detach())
 }
 
 /// A value for each two neighbours within a ray.

@@ -43,9 +43,10 @@ fn an_outlier_in_the_corner_costs_no_digit_of_the_deviation() {
                 eprintln!("{centre:e}, corner {corner:e}: {errors:?}, by the first {theirs:.1e}");
             }
             assert!(errors[0] < 1e-6 + 1e-8 * f64::abs(centre), "{centre} {corner}: {errors:?}");
-            assert!(errors[1].abs() < 1e-6, "{centre} {corner}: {errors:?}");
+            // 256 additions in 32 bits.
+            assert!(errors[1].abs() < 1.6e-5, "{centre} {corner}: {errors:?}");
             if corner == -1e6 {
-                assert!(theirs.abs() > 1e-4, "{theirs}");
+                assert!(theirs.abs() > 0.01, "{theirs}");
             }
         }
     }

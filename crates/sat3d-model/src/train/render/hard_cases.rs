@@ -38,7 +38,7 @@ fn weights_of_thin_media_keep_their_digits_and_their_gradients() {
     let radii: Vec<f32> = (0..SAMPLES).map(|k| k as f32 * STEP).collect();
     let (mut worst, mut steepest, mut theirs) = (0.0_f64, 0.0_f64, 0.0_f64);
     // Densities from 1e-30 to 1e30.
-    let raws = (-68..=20).map(|k| f64::from(k) * 1.0).chain([1e3, 1e10, 1e20, 1e30]);
+    let raws = (-68..=20).map(f64::from).chain([1e3, 1e10, 1e20, 1e30]);
     for raw in raws {
         let data = TensorData::new(vec![raw as f32; SAMPLES], [1, SAMPLES]);
         let leaf = Tensor::<2>::from_data(data, &device).require_grad();
@@ -48,9 +48,9 @@ fn weights_of_thin_media_keep_their_digits_and_their_gradients() {
         let (want, slope) = oracle(raw, &radii);
         for (got, want) in values(weights).iter().zip(&want) {
             let error = (got - want).abs();
-            // A transmittance is the exponential of up to 87, in 32 bits.
-            assert!(error <= 2e-5 * want + 1e-37, "{raw}: {got} {want}");
-            if *want > 1e-30 {
+            // A transmittance is the exponential of a sum of up to 87, in 32 bits.
+            assert!(error <= 2e-4 * want + 1e-37, "{raw}: {got} {want}");
+            if raw < 0.0 {
                 worst = worst.max(error / want);
             }
         }
@@ -64,7 +64,7 @@ fn weights_of_thin_media_keep_their_digits_and_their_gradients() {
             theirs = theirs.max((f64::from(1.0 - libm::expf(-tau)) / want[0] - 1.0).abs());
         }
     }
-    eprintln!("weights {worst:e}, slopes {steepest:e}; 1 - exp: {theirs}");
-    assert!(worst < 2e-5 && steepest < 1e-4, "{worst:e} {steepest:e}");
+    eprintln!("weights of thin media {worst:e}, slopes {steepest:e}; 1 - exp: {theirs}");
+    assert!(worst < 1e-5 && steepest < 1e-4, "{worst:e} {steepest:e}");
     assert!(theirs == 1.0, "{theirs}");
 }
