@@ -111,9 +111,9 @@ fn where_light_ends_in_a_cell_is_known_from_haze_to_wall() {
             1.0 / tau - passed / (1.0 - passed),
             1.0 / (tau * tau) - passed / ((1.0 - passed) * (1.0 - passed)),
         ];
-        for k in 0..2 {
-            if naive[k].is_finite() && (1e-9..1.0).contains(&tau) {
-                theirs[k] = theirs[k].max(relative(naive[k], &want[k]));
+        if (1e-9..1.0).contains(&tau) {
+            for ((theirs, naive), want) in theirs.iter_mut().zip(naive).zip(&want) {
+                *theirs = theirs.max(relative(naive, want));
             }
         }
     }
