@@ -18,6 +18,8 @@ pub mod align;
 mod baseline;
 mod error_raster;
 mod finish;
+#[cfg(test)]
+mod hard_cases;
 pub mod inputs;
 pub mod metrics;
 mod options;

@@ -225,14 +225,17 @@ impl<'a> Set<'a> {
             2.0 * below >= count && count > 0.0
         });
         let constant = middle.map_or(f64::NAN, |(truth, _, _)| truth);
-        let (truths, founds) = (mean(&|truth, _| truth), mean(&|_, found| found));
+        // About one of them: the mean of equal heights is that height then, and not its rounding, which would correlate.
+        let first = weighted().find(|(_, _, weight)| *weight > 0.0).unwrap_or_default();
+        let truths = first.0 + mean(&|truth, _| truth - first.0);
+        let founds = first.1 + mean(&|_, found| found - first.1);
         let both = mean(&|truth, found| (truth - truths) * (found - founds));
-        let spread = mean(&|truth, _| (truth - truths) * (truth - truths))
-            * mean(&|_, found| (found - founds) * (found - founds));
+        let spread = mean(&|truth, _| (truth - truths) * (truth - truths)).sqrt()
+            * mean(&|_, found| (found - founds) * (found - founds)).sqrt();
         [
             mean(&|truth, found| (found - truth).abs()),
             mean(&|truth, _| (constant - truth).abs()),
-            both / spread.sqrt(),
+            both / spread,
         ]
     }
 }

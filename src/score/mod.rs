@@ -20,6 +20,8 @@ pub mod buildings;
 pub mod columns;
 pub mod compare;
 mod gates;
+#[cfg(test)]
+mod hard_cases;
 mod image;
 mod measures;
 pub mod paper;

@@ -9,6 +9,8 @@ mod explain;
 mod finish;
 pub mod frame;
 pub mod ground;
+#[cfg(test)]
+mod hard_cases;
 mod job;
 pub mod layout;
 mod network;

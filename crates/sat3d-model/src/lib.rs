@@ -5,6 +5,8 @@
 
 pub mod config;
 mod error;
+#[cfg(test)]
+mod exact;
 pub mod field;
 pub mod illumination;
 pub mod mesh;

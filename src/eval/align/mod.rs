@@ -9,6 +9,8 @@ mod coregister;
 mod fit;
 #[cfg(test)]
 mod hard_cases;
+#[cfg(test)]
+mod huge_offsets;
 mod offset;
 mod phase;
 mod resample;

@@ -72,6 +72,8 @@ impl ColorHead {
                 block[unit * LANES + channel % LANES] = sum as f32;
             }
         }
+        finite("grd_color_convert.weight times net1_feature.weight", &weight)?;
+        finite("grd_color_convert.weight times features", &bias)?;
         Ok(Self { channels, padded, weight, bias })
     }
 

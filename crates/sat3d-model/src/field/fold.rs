@@ -32,6 +32,15 @@ pub(super) enum Tables {
     Triplane([Plane; 3]),
 }
 
+impl Tables {
+    fn texels(&self) -> Vec<&[f32]> {
+        match self {
+            Self::PlaneAndLine(plane, line) => vec![&plane.texels, &line.texels],
+            Self::Triplane(planes) => planes.iter().map(|plane| &plane.texels[..]).collect(),
+        }
+    }
+}
+
 /// The radiance field of one image, ready to be evaluated anywhere.
 ///
 /// Cloning and restyling are cheap: the tables are shared.
@@ -56,7 +65,8 @@ impl Field {
     /// The inputs are only read; the field holds its own tables (26 MB for a released plane).
     ///
     /// # Errors
-    /// When shapes do not fit each other, a value is not finite, or the scale is not in (0, 1].
+    /// When shapes do not fit each other, a value is not finite or its product with the head's weights is beyond
+    /// 32-bit floats, or the scale is not in (0, 1].
     pub fn new(
         inputs: &FieldInputs,
         head: &PointHead,
@@ -69,10 +79,15 @@ impl Field {
         bias.resize(hidden, 0.0);
         let mut density_weight = head.density.weight.clone();
         density_weight.resize(hidden, 0.0);
+        let tables = tables(inputs, &head.net0, hidden);
+        // A weight of 0 times an infinite texel is no number, and no number is empty space.
+        for texels in tables.texels() {
+            finite("map times net0.weight", texels)?;
+        }
         Ok(Self {
             arch: Arch::new(),
             hidden,
-            tables: Arc::new(tables(inputs, &head.net0, hidden)),
+            tables: Arc::new(tables),
             bias: bias.into(),
             density_weight: density_weight.into(),
             density_bias: head.density.bias[0],

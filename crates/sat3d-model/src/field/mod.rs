@@ -12,6 +12,8 @@ pub mod closed_form;
 mod color;
 mod evaluate;
 mod fold;
+#[cfg(test)]
+mod hard_cases;
 pub(crate) mod kernel;
 
 pub(crate) use evaluate::{ColumnRoom, ColumnTables, Medium, RayInField};

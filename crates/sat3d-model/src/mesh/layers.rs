@@ -354,7 +354,11 @@ impl<V: Copy + Into<f64>> LayerMesher<V> {
         let outer =
             |value: Option<f64>| value.is_none_or(|value| value.is_nan() || value < self.isovalue);
         let share = match values {
-            [Some(a), Some(b)] if a.is_finite() && b.is_finite() => (self.isovalue - a) / (b - a),
+            [Some(a), Some(b)] if (b - a).is_finite() => (self.isovalue - a) / (b - a),
+            // Their difference is beyond 64-bit floats, that of their halves is not.
+            [Some(a), Some(b)] if a.is_finite() && b.is_finite() => {
+                (0.5 * self.isovalue - 0.5 * a) / (0.5 * b - 0.5 * a)
+            }
             // No slope: the surface is next to the outside point.
             [a, _] if outer(a) => 0.0,
             _ => 1.0,

@@ -18,6 +18,8 @@
 
 mod cases;
 mod grid;
+#[cfg(test)]
+mod hard_cases;
 mod layers;
 mod of_field;
 

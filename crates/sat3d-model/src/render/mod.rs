@@ -7,6 +7,8 @@
 
 mod camera;
 pub mod frames;
+#[cfg(test)]
+mod hard_cases;
 mod lattice;
 mod march;
 pub mod quadrature;

@@ -10,11 +10,10 @@ use pulp::Arch;
 /// Added to every factor of the released rule's transmittance.
 const RELEASED_EPSILON: f64 = 1e-10;
 
-/// Optical depth under which a cell's expected distance is its middle.
-const THIN: f64 = 1e-4;
-
-/// Optical depth under which the variance inside a cell is taken from its series.
-const THIN_VARIANCE: f64 = 0.05;
+/// Optical depth under which mean and variance of the distance inside a cell are taken from their series: the closed
+/// forms are differences of numbers `1 / tau` and `1 / tau^2` times as large. Series and closed forms are within 1e-11 of
+/// the truth on their sides of it.
+const THIN: f64 = 0.1;
 
 /// Where along a ray the light ends.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -131,11 +130,13 @@ impl pulp::NullaryFnOnce for CellOp<'_> {
             let rest = (1.0 - ends) / ends;
             let inside = 1.0 / sigma - width * rest;
             let exact = 1.0 / (sigma * sigma) - width * width * rest / ends;
-            let series = width * width * (1.0 / 12.0 - tau * tau / 240.0);
+            let square = tau * tau;
+            let early = tau * (1.0 / 12.0 - square * (1.0 / 720.0 - square / 30_240.0));
+            let narrowing = square * (1.0 / 240.0 - square * (1.0 / 6_048.0 - square / 172_800.0));
             opaque[k] = ends;
             depth[k] = tau;
-            distance[k] = from[k] + if tau < THIN { 0.5 * width } else { inside };
-            variance[k] = if tau < THIN_VARIANCE { series } else { exact };
+            distance[k] = from[k] + if tau < THIN { width * (0.5 - early) } else { inside };
+            variance[k] = if tau < THIN { width * width * (1.0 / 12.0 - narrowing) } else { exact };
         }
         let mut sum = 0.0;
         for depth in &mut *depth {

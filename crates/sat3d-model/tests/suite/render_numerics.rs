@@ -73,8 +73,8 @@ fn both(radii: &[f32], sigma: &[f32]) {
         let (width, sigma) = (edges[1] - edges[0], f64::from(*sigma));
         let tau = sigma * width;
         let inside = match tau {
-            // The rule's own definition below 1e-4; above, the expected distance in its form with e^tau.
-            tau if tau < 1e-4 => 0.5 * width,
+            // The expected distance in its form with e^tau, and where that is a difference of large numbers, its series.
+            tau if tau < 1e-4 => width * (0.5 - tau / 12.0),
             tau => 1.0 / sigma - width / libm::expm1(tau),
         };
         [-libm::expm1(-tau), edges[0] + inside]

@@ -47,12 +47,15 @@ pub fn moments(shape: Shape, map: &[f32]) -> Vec<f32> {
     let pairs: Vec<[f32; 2]> = (0..shape.channels)
         .into_par_iter()
         .map(|channel| {
-            let sum = |of: &dyn Fn(&[f32]) -> f64| shape.planes(map, channel).map(of).sum::<f64>();
-            let mean = sum(&|plane| total(arch, plane, |value| value)) / shape.count();
-            let centre = mean as f32;
+            let mean = |of: &dyn Fn(&[f32]) -> f64| {
+                shape.planes(map, channel).map(of).sum::<f64>() / shape.count()
+            };
+            let centre = mean(&|plane| total(arch, plane, |value| value)) as f32;
+            // About the rounded mean; what that is off by is known then, and comes out of both.
+            let off = mean(&|plane| total(arch, plane, |value| value - centre));
             let square = |value: f32| (value - centre) * (value - centre);
-            let variance = sum(&|plane| total(arch, plane, square)) / shape.count();
-            [centre, variance as f32]
+            let squares = mean(&|plane| total(arch, plane, square));
+            [(f64::from(centre) + off) as f32, (squares - off * off).max(0.0) as f32]
         })
         .collect();
     [0, 1].iter().flat_map(|which| pairs.iter().map(move |pair| pair[*which])).collect()

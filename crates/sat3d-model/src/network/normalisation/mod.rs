@@ -4,6 +4,8 @@
 //! processor this is two passes for the statistics, one for the values, three for the gradients; elsewhere
 //! it is made of `burn`'s operations.
 
+#[cfg(test)]
+mod hard_cases;
 mod kernel;
 
 use burn::backend::autodiff::checkpoint::base::Checkpointer;

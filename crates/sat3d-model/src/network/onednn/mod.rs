@@ -8,6 +8,8 @@
 mod attention;
 mod decoder;
 mod encoder;
+#[cfg(test)]
+mod hard_cases;
 mod layers;
 mod map;
 mod passes;

@@ -70,41 +70,10 @@ impl Target {
 }
 
 /// Mean, scale and shift of each channel: `gain / deviation of the channel's group`.
-///
-/// One pass: sums run over differences from the channel's first value, so that nothing cancels where a mean is far
-/// larger than its deviation.
 pub(super) fn constants(map: &Map, norm: &GroupNorm) -> Vec<[f32; 3]> {
     let Shape { channels, height, width } = map.shape;
-    let (pixels, lanes) = (height * width, map.lanes());
-    let values = map.values();
-    let arch = Arch::new();
-    let runs = pixels.div_ceil(RUN);
-    // For each block and run: sums, then sums of squares, of each lane.
-    let partial: Vec<Vec<f32>> = (0..channels / lanes * runs)
-        .into_par_iter()
-        .map(|task| {
-            let (block, run) = (task / runs, task % runs);
-            let block = &values[block * pixels * lanes..][..pixels * lanes];
-            let first = &block[..lanes];
-            let end = ((run + 1) * RUN).min(pixels);
-            let part = &block[run * RUN * lanes..end * lanes];
-            let mut sums = vec![0.0_f32; 2 * lanes];
-            arch.dispatch(Sums { part, first, sums: &mut sums });
-            sums
-        })
-        .collect();
-    let count = pixels as f64;
-    // Mean, and sum of squared differences from it, of each channel.
-    let moments: Vec<[f64; 2]> = (0..channels)
-        .map(|channel| {
-            let (block, lane) = (channel / lanes, channel % lanes);
-            let tasks = &partial[block * runs..][..runs];
-            let total = |at: usize| tasks.iter().map(|sums| f64::from(sums[at])).sum::<f64>();
-            let (plain, squares) = (total(lane), total(lanes + lane));
-            let first = f64::from(values[block * pixels * lanes + lane]);
-            [first + plain / count, squares - plain * plain / count]
-        })
-        .collect();
+    let count = (height * width) as f64;
+    let moments = moments(map.values(), map.lanes(), channels, height * width);
     let members = channels / GROUPS;
     let mut constants = Vec::with_capacity(channels);
     for (group, moments) in moments.chunks_exact(members).enumerate() {
@@ -120,11 +89,64 @@ pub(super) fn constants(map: &Map, norm: &GroupNorm) -> Vec<[f32; 3]> {
     constants
 }
 
-/// Adds pixels' differences from the first, and their squares, by lane. (Structures, because closures are not
+/// Mean, and sum of squared differences from it, of each channel; `values` are blocks of `lanes` channels, each a list of
+/// `pixels`.
+///
+/// One pass over memory: a run stays in cache while it is summed up twice, for its mean and about that. So
+/// nothing cancels where a mean is far larger than its deviation, nor behind a pixel that is far from all others.
+pub(super) fn moments(
+    values: &[f32],
+    lanes: usize,
+    channels: usize,
+    pixels: usize,
+) -> Vec<[f64; 2]> {
+    let arch = Arch::new();
+    let runs = pixels.div_ceil(RUN);
+    let length = |run: usize| (pixels - run * RUN).min(RUN);
+    // For each block and run: means (rounded), sums of differences from them, sums of their squares, of each lane.
+    let partial: Vec<Vec<f32>> = (0..channels / lanes * runs)
+        .into_par_iter()
+        .map(|task| {
+            let (block, run) = (task / runs, task % runs);
+            let part = &values[(block * pixels + run * RUN) * lanes..][..length(run) * lanes];
+            let mut sums = vec![0.0_f32; 3 * lanes];
+            let (about, sums_about) = sums.split_at_mut(lanes);
+            // From the first pixel first: a sum of plain values would be rounded at their size.
+            about.copy_from_slice(&part[..lanes]);
+            arch.dispatch(Sums { part, about, sums: sums_about });
+            for (about, sum) in about.iter_mut().zip(&mut sums_about[..lanes]) {
+                *about += std::mem::take(sum) / length(run) as f32;
+            }
+            sums_about.fill(0.0);
+            arch.dispatch(Sums { part, about, sums: sums_about });
+            sums
+        })
+        .collect();
+    let of_channel = |channel: usize| {
+        let (block, lane) = (channel / lanes, channel % lanes);
+        // Merged as Chan, Golub and LeVeque (1983) have it.
+        let mut all = [0.0, 0.0, 0.0];
+        for (run, sums) in partial[block * runs..][..runs].iter().enumerate() {
+            let [about, plain, squares] = [0, 1, 2].map(|k| f64::from(sums[k * lanes + lane]));
+            let count = length(run) as f64;
+            let mean = about + plain / count;
+            let [before, so_far, spread] = all;
+            let (apart, together) = (mean - so_far, before + count);
+            let within = squares - plain * plain / count;
+            let between = apart * apart * (before / together * count);
+            all = [together, so_far + apart * (count / together), spread + within + between];
+        }
+        let [_, mean, spread] = all;
+        [mean, spread]
+    };
+    (0..channels).map(of_channel).collect()
+}
+
+/// Adds pixels' differences from some values, and their squares, by lane. (Structures, because closures are not
 /// compiled into the vector code that they are handed to.)
 struct Sums<'a> {
     part: &'a [f32],
-    first: &'a [f32],
+    about: &'a [f32],
     sums: &'a mut [f32],
 }
 
@@ -133,15 +155,15 @@ impl NullaryFnOnce for Sums<'_> {
 
     #[inline(always)]
     fn call(self) {
-        let lanes = self.first.len();
+        let lanes = self.about.len();
         let (plain, squares) = self.sums.split_at_mut(lanes);
         if lanes == BLOCK {
             // In registers from the first pixel to the last.
             let (mut sums, mut of_squares) = ([0.0_f32; BLOCK], [0.0_f32; BLOCK]);
-            let first: [f32; BLOCK] = std::array::from_fn(|lane| self.first[lane]);
+            let about: [f32; BLOCK] = std::array::from_fn(|lane| self.about[lane]);
             for pixel in self.part.as_chunks::<BLOCK>().0 {
                 for lane in 0..BLOCK {
-                    let value = pixel[lane] - first[lane];
+                    let value = pixel[lane] - about[lane];
                     sums[lane] += value;
                     of_squares[lane] = value.mul_add(value, of_squares[lane]);
                 }
@@ -152,8 +174,8 @@ impl NullaryFnOnce for Sums<'_> {
         }
         for pixel in self.part.chunks_exact(lanes) {
             let sums = plain.iter_mut().zip(squares.iter_mut());
-            for ((value, first), (plain, square)) in pixel.iter().zip(self.first).zip(sums) {
-                let value = value - first;
+            for ((value, about), (plain, square)) in pixel.iter().zip(self.about).zip(sums) {
+                let value = value - about;
                 *plain += value;
                 *square = value.mul_add(value, *square);
             }

@@ -233,8 +233,11 @@ impl Pixels {
 
     fn centre(&self, values: Tensor<2>) -> Centred {
         let count = self.count.clone().clamp_min(1.0);
-        let mean = keep(values.clone(), &self.valid).sum_dim(1) / count;
-        Centred { offsets: keep(values - mean.clone(), &self.valid), mean }
+        let mean = keep(values.clone(), &self.valid).sum_dim(1) / count.clone();
+        let offsets = keep(values - mean.clone(), &self.valid);
+        // What rounding has left of the mean: under a large offset it would be the fit's error.
+        let rest = offsets.clone().sum_dim(1) / count;
+        Centred { offsets: keep(offsets - rest.clone(), &self.valid), mean: mean + rest }
     }
 
     /// `(v - t) / (s + epsilon)`, 0 where unknown.
@@ -256,5 +259,7 @@ impl Pixels {
     }
 }
 
+#[cfg(test)]
+mod hard_cases;
 #[cfg(test)]
 mod tests;
