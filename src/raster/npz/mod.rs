@@ -285,7 +285,7 @@ pub fn shapes(path: &Path) -> Result<Vec<(String, Vec<usize>)>, NpzError> {
         Ok(members) => members,
         Err(_) => {
             fill(&mut bytes, 0, length)?;
-            self::members(&bytes, path)?
+            members(&bytes, path)?
         }
     };
     let mut shapes = Vec::new();

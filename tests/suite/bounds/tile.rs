@@ -19,7 +19,6 @@ use sat3d::tile::ColumnIntegral;
 use sat3d::tile::city::{Along, City, Levels};
 use sat3d::tile::surface::MeshTile;
 use sat3d::tile::surface::simplify::{Target, simplify};
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::OnceLock;
