@@ -121,13 +121,13 @@ fn integrate(field: &FieldTensors, raw: Tensor<2>, radii: &[f32]) -> Tensor<2> {
 }
 
 /// `1 - exp(-depth)` of depths from 0, given `passed = exp(-depth)`, without the difference's loss in thin media. The gradient
-/// is the difference's, which is `passed` and loses nothing.
+/// is the difference's, which is `passed` and loses nothing: the difference is added as itself less itself.
 fn opaque(depth: Tensor<2>, passed: Tensor<2>) -> Tensor<2> {
     let (shape, device) = (depth.dims(), depth.device());
     let values = depth.detach().into_data();
     let exact = plain(values.iter::<f32>().map(one_minus_exp).collect(), shape, &device);
     let difference = passed.neg() + 1.0;
-    difference.clone() + (exact - difference.detach())
+    exact + (difference.clone() - difference.detach())
 }
 
 /// A value for each two neighbours within a ray.
