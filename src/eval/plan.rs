@@ -15,7 +15,7 @@ const STATED_ERROR_M: f64 = 1024.0;
 
 /// Resolves the plan from what was asked for and what the files call for.
 pub fn resolve(options: &EvalOptions, settings: &Settings, demands: &Demands) -> Plan {
-    let mut steps = input_steps(options, demands);
+    let mut steps = Vec::from(input_steps(options, demands));
     steps.extend(alignment_steps(options, demands));
     steps.extend(place_steps(options, demands));
     steps.extend(number_steps(options));
