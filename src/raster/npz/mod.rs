@@ -281,15 +281,15 @@ pub fn shapes(path: &Path) -> Result<Vec<(String, Vec<usize>)>, NpzError> {
     };
     fill(&mut bytes, 0, start)?;
     fill(&mut bytes, length.saturating_sub(end), end)?;
-    let members = match members(&bytes, path) {
-        Ok(members) => members,
+    let found = match members(&bytes, path) {
+        Ok(found) => found,
         Err(_) => {
             fill(&mut bytes, 0, length)?;
             members(&bytes, path)?
         }
     };
     let mut shapes = Vec::new();
-    for Member { name, entry } in members {
+    for Member { name, entry } in found {
         let shape = match &entry {
             None => npy::shape(&bytes),
             Some(entry) => {
