@@ -77,14 +77,16 @@ cut() { # modules of the root library...
     sed -i '/^burn = /d; s/"burn\/[a-z]*"//' "$tree/crates/sat3d-model/Cargo.toml"
 }
 
-run() { # group, package, files of other groups, arguments of `cargo test`...
-    local name=$1 package=$2 others=$3 out=$work/out/${shard/\//-of-}-$1 code=0
-    shift 3
+run() { # group, package, files of other groups, targets, names of tests...
+    local name=$1 package=$2 others=$3 targets=() out=$work/out/${shard/\//-of-}-$1 code=0 target
+    for target in $4; do targets+=("--cargo-arg=$target"); done
+    shift 4
     rm -rf "$out"
     mkdir -p "$out"
     echo "== $name, shard $shard"
     (cd "$tree" && cargo mutants --in-place --package "$package" ${others:+--exclude "$others"} ${only:+--re "$only"} \
-        --shard "$shard" --sharding round-robin --output "$out" --colors never -- "$@") || code=$?
+        --shard "$shard" --sharding round-robin --output "$out" --colors never \
+        "${targets[@]}" -- -- "$@") || code=$?
     case $code in # 2: some were missed; 3: some ran out of time
         0 | 2 | 3) outs+=("$out/mutants.out") ;;
         *) failed=1; echo "mutants: cargo-mutants ended with $code in the group $name; see $out" >&2 ;;
@@ -95,11 +97,11 @@ failed=0 outs=()
 for group in "${groups[@]}"; do
     copy
     case $group in
-        crs) cut crs grid units; run crs sat3d 'src/{lidar,eval,tile}/**' --lib -- grid:: crs:: ;;
-        lidar) cut crs grid lidar raster units; run lidar sat3d 'src/{grid,crs,eval,tile}/**' --lib -- lidar:: ;;
-        eval) cut batch eval plan; run eval sat3d 'src/{grid,crs,lidar,tile}/**' --lib -- eval:: ;;
-        tile) cut tile; run tile sat3d 'src/{grid,crs,lidar,eval}/**' --lib -- tile:: ;;
-        model) cut crs; run model sat3d-model '' --lib --test suite ;;
+        crs) cut crs grid units; run crs sat3d 'src/{lidar,eval,tile}/**' --lib grid:: crs:: ;;
+        lidar) cut crs grid lidar raster units; run lidar sat3d 'src/{grid,crs,eval,tile}/**' --lib lidar:: ;;
+        eval) cut batch eval plan; run eval sat3d 'src/{grid,crs,lidar,tile}/**' --lib eval:: ;;
+        tile) cut tile; run tile sat3d 'src/{grid,crs,lidar,eval}/**' --lib tile:: ;;
+        model) cut crs; run model sat3d-model '' '--lib --test=suite' ;;
     esac
 done
 
