@@ -174,3 +174,47 @@ fn push_parameters(text: &mut String, parameters: &str) {
         text.push_str(parameter);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::crs::{CrsSpec, ResolveOptions, ResolvedCrs, resolve};
+    use crate::grid::{LonLat, Projected};
+
+    const SEATTLE: LonLat = LonLat { lon_deg: -122.33, lat_deg: 47.61 };
+
+    fn crs(code: u32) -> ResolvedCrs {
+        let area = Some([SEATTLE.lon_deg, SEATTLE.lat_deg, SEATTLE.lon_deg, SEATTLE.lat_deg]);
+        let options = ResolveOptions { area, ..ResolveOptions::default() };
+        resolve(&CrsSpec::from_epsg(code), &options).expect("in the table")
+    }
+
+    #[test]
+    fn units_change_the_numbers_and_not_the_place() {
+        // Washington South on NAD83(HARN) in metres and in US survey feet.
+        let (metres, feet) = (crs(2856), crs(2927));
+        let m = metres.projection.forward(SEATTLE).expect("in the domain");
+        let ft = feet.projection.forward(SEATTLE).expect("in the domain");
+        assert!((ft.x * 1200.0 / 3937.0 - m.x).abs() < 1e-8, "{ft:?} {m:?}");
+        assert!((ft.y * 1200.0 / 3937.0 - m.y).abs() < 1e-8, "{ft:?} {m:?}");
+        for (crs, at) in [(metres, m), (feet, ft)] {
+            let back = crs.projection.inverse(at).expect("in the domain");
+            assert!((back.lon_deg - SEATTLE.lon_deg).abs() < 1e-10, "{back:?}");
+            assert!((back.lat_deg - SEATTLE.lat_deg).abs() < 1e-10, "{back:?}");
+            let nowhere = Projected { x: f64::NAN, y: at.y };
+            assert!(crs.projection.inverse(nowhere).is_err());
+        }
+    }
+
+    #[test]
+    fn the_datum_step_moves_by_what_it_says() {
+        let harn = crs(2927);
+        // docs/coordinates.md: 1.28 m in Seattle; on EPSG:2286, the same zone, the step is a null shift.
+        assert!((harn.operation.datum_shift_m - 1.28).abs() < 0.01, "{:?}", harn.operation);
+        let null = crs(2286);
+        assert_eq!(null.operation.datum_shift_m, 0.0);
+        let at = |crs: &ResolvedCrs| crs.projection.forward(SEATTLE).expect("in the domain");
+        let (a, b) = (at(&harn), at(&null));
+        let apart = libm::hypot(a.x - b.x, a.y - b.y) * 1200.0 / 3937.0;
+        assert!((apart - harn.operation.datum_shift_m).abs() < 1e-3, "{apart}");
+    }
+}

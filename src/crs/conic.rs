@@ -163,6 +163,7 @@ fn domain(what: String) -> CrsError {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::crs::scale::ground_distance_m;
 
     fn cone(lat_0: f64, lat_1: f64, lat_2: f64) -> Result<LambertConic, CrsError> {
         LambertConic::two_parallels(Ellipsoid::GRS80, (lat_0, 0.0), (lat_1, lat_2), (0.0, 0.0))
@@ -200,6 +201,69 @@ mod tests {
             let (a, b) = (secant.forward(at).expect("valid"), tangent.forward(at).expect("valid"));
             assert!((a.x - b.x).abs() < 1e-8 && (a.y - b.y).abs() < 1e-8, "{a:?} {b:?}");
         }
+    }
+
+    /// EPSG's Guidance Note 7-2 (2024), sections 3.1.1.1 and 3.1.1.2.
+    #[test]
+    fn worked_examples_of_epsg_are_met() {
+        let degrees = |d: f64, m: f64, s: f64| d + m / 60.0 + s / 3600.0;
+        // Texas South Central, in US survey feet.
+        let clarke = Ellipsoid { a: 20_925_832.16, f: 1.0 / 294.978_70 };
+        let parallels = (degrees(28.0, 23.0, 0.0), degrees(30.0, 17.0, 0.0));
+        let origin = (degrees(27.0, 50.0, 0.0), -99.0);
+        let texas = LambertConic::two_parallels(clarke, origin, parallels, (2_000_000.0, 0.0))
+            .expect("valid");
+        let found = texas.forward(LonLat { lon_deg: -96.0, lat_deg: 28.5 }).expect("valid");
+        assert!(
+            (found.x - 2_963_503.91).abs() < 0.01 && (found.y - 254_759.80).abs() < 0.01,
+            "{found:?}"
+        );
+        // Jamaica National Grid.
+        let clarke = Ellipsoid { a: 6_378_206.4, f: 1.0 / 294.978_70 };
+        let jamaica =
+            LambertConic::one_parallel(clarke, (18.0, -77.0), 1.0, (250_000.0, 150_000.0))
+                .expect("valid");
+        let at =
+            LonLat { lon_deg: -degrees(76.0, 56.0, 37.26), lat_deg: degrees(17.0, 55.0, 55.80) };
+        let found = jamaica.forward(at).expect("valid");
+        assert!(
+            (found.x - 255_966.58).abs() < 0.01 && (found.y - 142_493.51).abs() < 0.01,
+            "{found:?}"
+        );
+    }
+
+    #[test]
+    fn inverse_undoes_forward_from_the_apex_to_the_cut() {
+        for (lat_0, lat_1, lat_2) in [(46.0, 45.0, 47.0), (-30.0, -25.0, -60.0), (5.0, 3.0, 3.0)] {
+            let mut cone = cone(lat_0, lat_1, lat_2).expect("valid");
+            (cone.lon_0, cone.x_0, cone.y_0) = (170.0, 5e5, -2e5);
+            for lat in [-70.0, -20.0, 0.0, 30.0, 46.0, 46.1, 75.0] {
+                for lon_deg in [-179.0, -10.1, 0.0, 77.0, 169.9, 170.0] {
+                    let at = LonLat { lon_deg, lat_deg: lat * f64::signum(lat_0) };
+                    let on_map = cone.forward(at).expect("valid");
+                    let back = cone.inverse(on_map).expect("valid");
+                    let miss = ground_distance_m(at, back);
+                    // What rounding the map's own coordinates makes.
+                    let bound = 1e-15 * (on_map.x.abs() + on_map.y.abs()) + 2e-9;
+                    assert!(miss < bound, "{lat_0} {at:?}: {miss:e} {bound:e}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn apex_cut_and_gap_are_where_the_cone_has_them() {
+        let cone = cone(46.0, 45.0, 47.0).expect("valid");
+        let at = |lon_deg, lat_deg| cone.forward(LonLat { lon_deg, lat_deg });
+        let apex = at(123.0, 90.0).expect("the apex");
+        assert!(apex.x.abs() < 1e-8 && (apex.y - cone.rho_0).abs() < 1e-8, "{apex:?}");
+        assert!(at(0.0, -90.0).is_err() && at(0.0, 90.1).is_err() && at(f64::NAN, 0.0).is_err());
+        let back = |x, y| cone.inverse(Projected { x, y });
+        let east = at(179.9, 30.0).expect("on the map");
+        assert!((back(east.x, east.y).expect("on the map").lon_deg - 179.9).abs() < 1e-9);
+        // Straight behind the apex lies the gap.
+        assert!(back(0.0, cone.rho_0 * 1.1).is_err() && back(1e6, cone.rho_0 * 1.5).is_err());
+        assert!(back(f64::NAN, 0.0).is_err() && back(0.0, f64::INFINITY).is_err());
     }
 
     #[test]

@@ -174,6 +174,39 @@ mod tests {
     }
 
     #[test]
+    fn flattenings_and_eccentricities_are_those_of_the_two_radii() {
+        let e = Ellipsoid { a: 5.0, f: 0.2 };
+        assert!((e.b() - 4.0).abs() < 1e-15 && (e.n() - 1.0 / 9.0).abs() < 1e-15);
+        assert!((e.e2() - 9.0 / 25.0).abs() < 1e-15 && (e.e() - 0.6).abs() < 1e-15);
+    }
+
+    #[test]
+    fn radii_are_those_of_the_geocentric_ellipse() {
+        let e = Ellipsoid { a: 5.0, f: 0.2 };
+        for (lon_deg, lat_deg) in [(0.0, 0.0), (30.0, 50.0), (-100.0, -35.0), (170.0, 80.0)] {
+            let at = |north: f64, height| {
+                e.geocentric(LonLat { lon_deg, lat_deg: lat_deg + north }, height)
+            };
+            let [x, y, z] = at(0.0, 0.0);
+            assert!((x * x / 25.0 + y * y / 25.0 + z * z / 16.0 - 1.0).abs() < 1e-14);
+            assert!((libm::hypot(x, y) - e.parallel_radius(lat_deg)).abs() < 1e-14);
+            assert!((libm::atan2(y, x).to_degrees() - lon_deg).abs() < 1e-13);
+            // Height goes out along the normal, which is the gradient of the form above.
+            let up: [f64; 3] = std::array::from_fn(|k| at(0.0, 2.0)[k] - [x, y, z][k]);
+            let gradient = [x / 25.0, y / 25.0, z / 16.0];
+            let length = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
+            for (up, gradient) in up.into_iter().zip(gradient) {
+                assert!((up - 2.0 * gradient / length).abs() < 1e-13, "{up}");
+            }
+            // And the meridian's radius is the speed along it.
+            let (a, b) = (at(1e-4, 0.0), at(-1e-4, 0.0));
+            let speed = (0..3).map(|k| (a[k] - b[k]) * (a[k] - b[k])).sum::<f64>().sqrt()
+                / 2e-4_f64.to_radians();
+            assert!((speed / e.meridian_radius(lat_deg) - 1.0).abs() < 1e-10, "{speed}");
+        }
+    }
+
+    #[test]
     fn poles_are_infinitely_far_on_the_isometric_scale() {
         let grs80 = Ellipsoid::GRS80;
         assert_eq!(grs80.isometric_latitude(90.0), f64::INFINITY);
@@ -187,6 +220,39 @@ mod tests {
             [(180.0, 180.0), (-180.0, -180.0), (190.0, -170.0), (-541.0, 179.0), (0.0, 0.0)]
         {
             assert_eq!(wrap_degrees(angle), wrapped);
+        }
+    }
+
+    #[test]
+    fn places_off_the_globe_are_told() {
+        let on = |lon_deg, lat_deg| on_globe(LonLat { lon_deg, lat_deg });
+        assert!(on(0.0, 90.0) && on(1e3, -90.0));
+        assert!(
+            !on(f64::NAN, 0.0) && !on(f64::INFINITY, 0.0) && !on(0.0, 90.1) && !on(0.0, f64::NAN)
+        );
+    }
+
+    #[test]
+    fn conformal_tangent_is_that_of_the_isometric_latitude() {
+        for lat in [-89.0, -30.0, 1e-9, 47.0, 70.0, 89.99] {
+            let tan = Ellipsoid::GRS80.conformal_tangent(libm::tan(f64::to_radians(lat)));
+            let expected = libm::sinh(Ellipsoid::GRS80.isometric_latitude(lat));
+            assert!((tan / expected - 1.0).abs() < 1e-14, "{lat}: {tan} {expected}");
+        }
+        // Near the pole both tangents are proportional; the far branch goes on where the other ends.
+        let back = |conformal| Ellipsoid::GRS80.geographic_tangent(conformal) / conformal;
+        assert!((back(1.01e9) / back(0.99e9) - 1.0).abs() < 1e-15);
+        assert!((back(-1.01e9) / back(0.99e9) - 1.0).abs() < 1e-15);
+    }
+
+    #[test]
+    fn newtons_steps_converge_on_ellipsoids_much_flatter_than_the_earth() {
+        // With the Earth's flattening the start is so good that almost any step would do.
+        let flat = Ellipsoid { a: 1.0, f: 0.1 };
+        for lat in -899..=899 {
+            let tan = libm::tan((f64::from(lat) / 10.0).to_radians());
+            let back = flat.geographic_tangent(flat.conformal_tangent(tan));
+            assert!((back - tan).abs() <= 8.0 * f64::EPSILON * tan.abs().max(1.0), "{lat}: {back}");
         }
     }
 

@@ -53,3 +53,43 @@ pub(crate) fn ground_distance_m(a: LonLat, b: LonLat) -> f64 {
     let north = (a.lat_deg - b.lat_deg).to_radians() * Ellipsoid::WGS84.meridian_radius(lat);
     libm::hypot(east, north)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::crs::{CrsSpec, ResolveOptions, resolve};
+
+    #[test]
+    fn scale_is_map_metres_per_ground_metre_in_any_unit() {
+        let scale = |code, lon_deg, lat_deg| {
+            let crs = resolve(&CrsSpec::from_epsg(code), &ResolveOptions::default());
+            scale_factor(&crs.expect("in the table"), LonLat { lon_deg, lat_deg })
+        };
+        let meridian = scale(32_610, -123.0, 47.6).expect("in the domain");
+        assert!((meridian.east - 0.9996).abs() < 1e-9 && (meridian.north - 0.9996).abs() < 1e-9);
+        // US survey feet; a standard parallel of EPSG:6597, 1e-10 of the flattening away.
+        let parallel = scale(6597, -121.7, 47.5).expect("in the domain");
+        let (east, north) = (parallel.east, parallel.north);
+        assert!((east - north).abs() < 1e-8 && (east - 1.0).abs() < 1e-8, "{parallel:?}");
+        assert!(scale(32_610, 0.0, 90.0).is_err() && scale(32_610, 0.0, -90.0).is_err());
+        // The outermost place is 20 m from the pole.
+        assert!(scale(32_610, -123.0, 89.999).is_ok() && scale(32_610, -123.0, 89.9999).is_err());
+    }
+
+    #[test]
+    fn distances_are_lengths_of_arcs_across_the_antimeridian_too() {
+        let at = |lon_deg, lat_deg| LonLat { lon_deg, lat_deg };
+        let wgs84 = Ellipsoid::WGS84;
+        let (east, north) = (wgs84.parallel_radius(60.0), wgs84.meridian_radius(60.0));
+        let arc = 0.006_f64.to_radians();
+        assert!(
+            (ground_distance_m(at(-10.002, 60.0), at(-10.008, 60.0)) - east * arc).abs() < 1e-6
+        );
+        assert!(
+            (ground_distance_m(at(179.997, 60.0), at(-179.997, 60.0)) - east * arc).abs() < 1e-6
+        );
+        assert!((ground_distance_m(at(5.0, 60.003), at(5.0, 59.997)) - north * arc).abs() < 1e-6);
+        let slanted = ground_distance_m(at(5.0, 60.003), at(5.006, 59.997));
+        assert!((slanted - libm::hypot(east, north) * arc).abs() < 1e-6, "{slanted}");
+    }
+}

@@ -270,6 +270,7 @@ fn domain(what: String) -> CrsError {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::crs::scale::ground_distance_m;
 
     /// The `j`-th sine coefficient of a function on [0, pi/2] that is odd about both ends' doubles,
     /// by the midpoint rule, which converges geometrically here.
@@ -328,6 +329,32 @@ mod tests {
     }
 
     #[test]
+    fn every_term_of_both_series_counts_on_an_ellipsoid_thirty_times_flatter() {
+        let ellipsoid = Ellipsoid { a: 1.0, f: 0.1 };
+        let n = ellipsoid.n();
+        let forward = |conformal: f64| {
+            let tan = ellipsoid.geographic_tangent(libm::tan(conformal));
+            rectifying(&ellipsoid, libm::atan(tan)) - conformal
+        };
+        // The conformal latitude of a rectifying one, by iteration; each step gains a factor of 2 n.
+        let inverse = |xi: f64| (0..14).fold(xi, |conformal, _| xi - forward(conformal)) - xi;
+        for (table, excess, sign) in
+            [(&ALPHA, &forward as &dyn Fn(f64) -> f64, 1.0), (&BETA, &inverse, -1.0)]
+        {
+            for (i, coefficient) in coefficients(table, n).iter().enumerate() {
+                // Half of the last term, n^8, is more than all that are left out.
+                let (p, q) = table[i][table[i].len() - 1];
+                let bound = 0.5 * (p / q).abs() * libm::pow(n, 8.0);
+                let found = sign * sine_coefficient(excess, i + 1);
+                assert!(
+                    (found - coefficient).abs() < bound,
+                    "{i}: {found:e} {coefficient:e} {bound:e}"
+                );
+            }
+        }
+    }
+
+    #[test]
     fn clenshaw_is_the_sum() {
         let c = coefficients(&ALPHA, 0.01);
         let (xi, eta) = (0.7, 0.9);
@@ -339,6 +366,81 @@ mod tests {
         }
         let found = clenshaw(&c, 1.0, xi, eta);
         assert!((found.0 - x).abs() < 1e-14 && (found.1 - y).abs() < 1e-14);
+    }
+
+    /// EPSG's Guidance Note 7-2 (2024), section 3.2.3.1: the British National Grid.
+    #[test]
+    fn the_worked_example_of_epsg_is_met() {
+        let airy = Ellipsoid { a: 6_377_563.396, f: 1.0 / 299.324_96 };
+        let (k_0, false_origin) = (0.999_601_271_7, (400_000.0, -100_000.0));
+        let grid = TransverseMercator::new(airy, (49.0, -2.0), k_0, false_origin).expect("valid");
+        let found = grid.forward(LonLat { lon_deg: 0.5, lat_deg: 50.5 }).expect("valid");
+        assert!(
+            (found.x - 577_274.99).abs() < 0.01 && (found.y - 69_740.50).abs() < 0.01,
+            "{found:?}"
+        );
+    }
+
+    #[test]
+    fn northings_on_the_central_meridian_are_its_length() {
+        let ellipsoid = Ellipsoid { a: 1.0, f: 1.0 / 30.0 };
+        let grid =
+            TransverseMercator::new(ellipsoid, (-20.0, 10.0), 0.5, (3.0, 4.0)).expect("valid");
+        // Simpson's rule over 400 parts of the arc from -20 to 55 degrees.
+        let step = 75.0 / 400.0;
+        let sum: f64 = (0..=400)
+            .map(|k| {
+                let weight = if k % 400 == 0 { 1.0 } else { f64::from(2 + 2 * (k % 2)) };
+                weight * ellipsoid.meridian_radius(-20.0 + f64::from(k) * step)
+            })
+            .sum();
+        let found = grid.forward(LonLat { lon_deg: 10.0, lat_deg: 55.0 }).expect("valid");
+        let length = 0.5 * sum * step.to_radians() / 3.0;
+        assert!((found.x - 3.0).abs() < 1e-15, "{found:?}");
+        assert!((found.y - 4.0 - length).abs() < 1e-11, "{} {length}", found.y - 4.0);
+    }
+
+    #[test]
+    fn inverse_undoes_forward_over_the_pole_and_as_far_as_the_series_reaches() {
+        let grid = TransverseMercator::new(Ellipsoid::GRS80, (40.0, 177.0), 0.9996, (5e5, -1e6))
+            .expect("valid");
+        for lat_deg in [-89.0, -60.0, -1.0, 0.5, 47.6, 80.0, 89.9] {
+            for lon_deg in [-178.0, 177.0, 177.1, 140.0, 90.0, -3.0, 20.0] {
+                let at = LonLat { lon_deg, lat_deg };
+                // A quarter of the way round, and near the equator.
+                let too_far = lon_deg == 90.0 && lat_deg.abs() < 40.0;
+                let on_map = grid.forward(at);
+                assert_eq!(on_map.is_err(), too_far, "{at:?}");
+                if let Ok(on_map) = on_map {
+                    let miss = ground_distance_m(at, grid.inverse(on_map).expect("valid"));
+                    assert!(miss < 1e-8, "{at:?}: {miss:e}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn what_lies_off_the_map_is_refused_on_all_sides() {
+        let grid =
+            TransverseMercator::new(Ellipsoid::GRS80, (0.0, 0.0), 1.0, (0.0, 0.0)).expect("valid");
+        let forward = |lon_deg, lat_deg| grid.forward(LonLat { lon_deg, lat_deg }).is_ok();
+        assert!(
+            forward(49.0, 0.0)
+                && forward(-49.0, 0.0)
+                && !forward(51.0, 0.0)
+                && !forward(-51.0, 0.0)
+        );
+        assert!(!forward(0.0, 90.1) && !forward(f64::NAN, 0.0));
+        let inverse = |x, y| grid.inverse(Projected { x, y }).is_ok();
+        let (reach, round) = (grid.radius, grid.radius * PI);
+        assert!(inverse(reach * 0.999, 0.0) && inverse(-reach * 0.999, 0.0));
+        assert!(!inverse(reach * 1.001, 0.0) && !inverse(-reach * 1.001, 0.0));
+        assert!(inverse(0.0, round * 0.999) && inverse(0.0, -round * 0.999));
+        assert!(
+            !inverse(0.0, round * 1.001)
+                && !inverse(0.0, -round * 1.001)
+                && !inverse(f64::NAN, 0.0)
+        );
     }
 
     #[test]

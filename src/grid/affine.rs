@@ -56,4 +56,23 @@ mod tests {
         assert!(!grid.is_north_up());
         assert!(GeoTransform::north_up(0.0, 10.0, 1.5, 1.5).is_north_up());
     }
+
+    #[test]
+    fn each_coefficient_alone_can_spoil_a_north_up_grid() {
+        let grid = GeoTransform::north_up(-3.0, 10.0, 1.5, 2.0);
+        for (k, value) in [
+            (0, f64::NAN),
+            (1, 0.0),
+            (1, -1.5),
+            (2, 0.1),
+            (3, f64::INFINITY),
+            (4, -0.1),
+            (5, 0.0),
+            (5, 2.0),
+        ] {
+            let mut spoilt = grid;
+            spoilt.0[k] = value;
+            assert!(grid.is_north_up() && !spoilt.is_north_up(), "{k} {value}");
+        }
+    }
 }

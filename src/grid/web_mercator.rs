@@ -264,6 +264,34 @@ mod tests {
         assert!(sized(30, 640).is_ok());
     }
 
+    #[test]
+    fn the_largest_sizes_and_the_whole_world_are_grids() {
+        let at = |lon_deg, lat_deg, zoom, width, height| {
+            ImageGrid::new(LonLat { lon_deg, lat_deg }, zoom, width, height)
+        };
+        assert!(at(0.0, 0.0, 20, 65_536, 65_536).is_ok());
+        for (width, height) in [(65_537, 1), (1, 65_537), (1, 0)] {
+            assert!(matches!(at(0.0, 0.0, 20, width, height), Err(GridError::Size { .. })));
+        }
+        assert!(matches!(at(f64::NAN, 0.0, 20, 1, 1), Err(GridError::Longitude { .. })));
+        // All of the square, corner to corner.
+        let world = at(0.0, 0.0, 0, 256, 256).expect("a grid");
+        assert_eq!((world.width(), world.height(), world.zoom()), (256, 256, 0));
+        let corner = world.lonlat(PixelPoint { x: 0.0, y: 256.0 });
+        assert!(
+            (corner.lon_deg + 180.0).abs() < 1e-12
+                && (corner.lat_deg + MAX_LATITUDE_DEG).abs() < 1e-12
+        );
+        let transform = world.geotransform();
+        let pixel = MERCATOR_HALF_WORLD_M / 128.0;
+        assert_eq!(
+            transform.0,
+            [-MERCATOR_HALF_WORLD_M, pixel, 0.0, MERCATOR_HALF_WORLD_M, 0.0, -pixel]
+        );
+        let equator = world.ground_sample_distance();
+        assert!((equator - std::f64::consts::TAU * WGS84_A / 256.0).abs() < 1e-9, "{equator}");
+    }
+
     proptest! {
         #[test]
         fn pixel_and_position_are_inverse(

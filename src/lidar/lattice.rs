@@ -206,6 +206,23 @@ mod tests {
         assert!(Lattice::of(&GeoTransform([0.0, 1.0, 0.0, 0.0, 0.0, 1.0]), PHASE_BITS).is_none());
     }
 
+    #[test]
+    fn the_phase_bound_is_half_a_step_of_both_axes() {
+        let (lattice, ..) =
+            Lattice::of(&GeoTransform([0.0, 3.0, 0.0, 0.0, 0.0, -4.0]), 10).expect("north-up");
+        assert_eq!(lattice.phase_bound(), 5.0 / 2048.0);
+    }
+
+    #[test]
+    fn a_window_contains_what_is_a_margin_away_from_every_edge() {
+        let window = LatticeWindow { col: -3, row: 10, width: 8, height: 6 };
+        let inside = |x, y| window.contains(PixelPoint { x, y }, 1.5);
+        assert!(inside(-1.5, 11.5) && inside(3.5, 14.5) && inside(3.5, 11.5));
+        assert!(!inside(-1.6, 12.0) && !inside(3.6, 12.0));
+        assert!(!inside(0.0, 11.4) && !inside(0.0, 14.6));
+        assert!(!inside(f64::NAN, 12.0) && !inside(0.0, f64::NAN));
+    }
+
     proptest! {
         #[test]
         fn tiles_cut_from_one_raster_share_its_lattice(cols in 0_u32..20_000, rows in 0_u32..20_000) {

@@ -493,6 +493,74 @@ mod tests {
         assert!((cx - 0.22).abs() < 0.03 && (cy - 0.22).abs() < 0.03, "{cx} {cy}");
     }
 
+    /// Degrees times a factor along each axis.
+    #[derive(Debug)]
+    struct Scaled(f64, f64);
+
+    impl Projection for Scaled {
+        fn forward(&self, at: LonLat) -> Result<Projected, CrsError> {
+            Ok(Projected { x: at.lon_deg * self.0, y: at.lat_deg * self.1 })
+        }
+        fn inverse(&self, at: Projected) -> Result<LonLat, CrsError> {
+            Ok(LonLat { lon_deg: at.x / self.0, lat_deg: at.y / self.1 })
+        }
+    }
+
+    #[test]
+    fn the_reference_box_has_the_size_that_the_reference_computes() {
+        let grid =
+            ImageGrid::new(LonLat { lon_deg: 10.0, lat_deg: 60.0 }, 18, 640, 320).expect("grid");
+        let reference = PixelToCrs::reference_box(&grid, &Scaled(10.0, 100.0)).expect("a box");
+        assert_eq!(reference.size(), (640, 320));
+        // Degrees of a pixel: 156543.03 m / 2^18, of 111.32 km; along the meridian half of it (60 degrees north).
+        let degrees = 156_543.03 / 262_144.0 / 111_320.0;
+        for (x, y) in [(0.0, 0.0), (640.0, 320.0), (0.0, 320.0), (480.0, 40.0)] {
+            let at = reference.position(PixelPoint { x, y }).expect("a position");
+            let (lon, lat) = (10.0 + (x - 320.0) * degrees, 60.0 - (y - 160.0) * degrees * 0.5);
+            assert!((at.x - 10.0 * lon).abs() < 1e-12 * at.x, "{at:?} {lon}");
+            assert!((at.y - 100.0 * lat).abs() < 1e-12 * at.y, "{at:?} {lat}");
+        }
+    }
+
+    #[test]
+    fn cells_per_pixel_of_a_turned_raster_are_lengths_along_each_axis_of_the_lattice() {
+        let (lattice, ..) =
+            Lattice::of(&GeoTransform::north_up(0.0, 0.0, 0.5, 4.0), 24).expect("lattice");
+        let exact = PixelToCrs::Raster {
+            geotransform: GeoTransform([70.0, 3.0, 4.0, 90.0, 6.0, -8.0]),
+            width: 30,
+            height: 20,
+            from: Arc::new(Scaled(1_000.0, 500.0)),
+            to: Arc::new(Scaled(2_000.0, 500.0)),
+        };
+        assert_eq!(exact.size(), (30, 20));
+        let at = exact.position(PixelPoint { x: 2.0, y: 1.0 }).expect("a position");
+        assert!((at.x - 160.0).abs() < 1e-12 && (at.y - 94.0).abs() < 1e-12, "{at:?}");
+        for form in [TransformForm::Exact, TransformForm::Affine] {
+            let map = PixelMap::fit(exact.clone(), lattice, form).expect("fits");
+            let (x, y) = map.cells_per_pixel().expect("scale");
+            assert!((x - 10.0 / 0.5).abs() < 1e-9 && (y - 10.0 / 4.0).abs() < 1e-9, "{x} {y}");
+            // What is linear is met by every form, in pictures of any shape.
+            let (mut cols, mut rows) = (vec![], vec![]);
+            map.fill_row(19, 28..30, 0.0, &mut cols, &mut rows).expect("row");
+            let exact =
+                lattice.coordinate(exact.position(PixelPoint { x: 29.0, y: 19.0 }).expect("valid"));
+            assert!((cols[1] - exact.x).abs() < 1e-9 && (rows[1] - exact.y).abs() < 1e-9);
+            assert!(map.errors().affine < 1e-9, "{:?}", map.errors());
+        }
+    }
+
+    #[test]
+    fn the_worse_of_two_bounds_is_taken_form_by_form() {
+        let (a, b) = ([1.0, 5.0, 6.0], [2.0, 3.0, 7.0]);
+        let errors =
+            |[chebyshev, separable, affine]: [f64; 3]| FitErrors { chebyshev, separable, affine };
+        let worst = errors(a).worst(errors(b));
+        assert_eq!(worst, errors([2.0, 5.0, 7.0]));
+        assert_eq!(worst.of(TransformForm::Exact), 0.0);
+        assert_eq!(worst.of(TransformForm::Separable), 5.0);
+    }
+
     proptest! {
         #[test]
         fn coefficients_of_a_polynomial_are_found(c in proptest::array::uniform9(-5.0..5.0_f64)) {

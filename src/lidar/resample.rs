@@ -518,6 +518,96 @@ mod tests {
     }
 
     #[test]
+    fn a_border_hangs_on_rounding_along_both_axes_and_only_beside_another_validity() {
+        let mut data = plane(4, 4);
+        data[5] = f32::NAN; // cell (101, -49)
+        let cells = cells(&data, 4);
+        let k = Kernel { flip_x: 1e-3, flip_y: 0.1, ..kernel(Resampling::Nearest) };
+        let flips = |x, y| k.at_point(&cells, x, y).flips;
+        for (x, y) in [(101.5, -49.05), (101.5, -48.95), (101.5, -48.05), (101.5, -47.95)] {
+            assert!(flips(x, y), "{x} {y}");
+        }
+        for (x, y) in
+            [(102.000_5, -48.5), (101.999_5, -48.5), (101.000_5, -48.5), (100.999_5, -48.5)]
+        {
+            assert!(flips(x, y), "{x} {y}");
+        }
+        // Too far from the border, or beside cells that are alike.
+        for (x, y) in
+            [(101.5, -49.15), (101.5, -48.15), (102.05, -48.5), (100.95, -48.5), (102.95, -46.95)]
+        {
+            assert!(!flips(x, y), "{x} {y}");
+        }
+    }
+
+    #[test]
+    fn kernels_widen_beyond_095_pixels_per_cell_and_margins_hold_their_taps() {
+        use Resampling::{Average, Bilinear, Cubic, Nearest};
+        let margin = |r, cells| Kernel::new(r, EdgeRule::Strict, cells, (0.0, 0.0)).margin();
+        let plain =
+            |cells| Kernel::new(Bilinear, EdgeRule::Strict, cells, (0.0, 0.0)).is_plain_bilinear();
+        assert!(plain((1.05, 1.05)) && !plain((1.06, 0.2)) && !plain((0.2, 1.06)));
+        assert!(!kernel(Cubic).is_plain_bilinear());
+        assert_eq!(margin(Nearest, (4.0, 4.0)), (1, 1));
+        assert_eq!(margin(Average, (4.0, 4.0)), (1, 1));
+        assert_eq!((margin(Bilinear, (0.1, 1.0)), margin(Cubic, (0.1, 1.0))), ((2, 2), (3, 3)));
+        assert_eq!((margin(Bilinear, (2.5, 0.5)), margin(Cubic, (0.5, 2.25))), ((4, 2), (3, 6)));
+    }
+
+    #[test]
+    fn a_widened_kernel_is_its_weighted_mean_over_all_valid_cells() {
+        let mut data: Vec<f32> = (0..400).map(|k| ((k * 7919) % 1009) as f32 / 8.0).collect();
+        for hole in [0, 105, 188, 191, 255] {
+            data[hole] = f32::NAN;
+        }
+        let cells = cells(&data, 20);
+        for resampling in [Resampling::Bilinear, Resampling::Cubic] {
+            let ratio = (1.75, 2.5);
+            let k = Kernel::new(resampling, EdgeRule::Renormalise, ratio, (0.0, 0.0));
+            for (x, y) in [(110.2, -40.3), (109.9, -39.6), (106.5, -42.5), (113.0, -36.0)] {
+                let weight = |d: f64| {
+                    if resampling == Resampling::Cubic { keys(d) } else { (1.0 - d.abs()).max(0.0) }
+                };
+                let (mut sum, mut total) = (0.0, 0.0);
+                for (at, value) in data.iter().enumerate().filter(|(_, v)| !v.is_nan()) {
+                    let (cx, cy) = ((at % 20) as f64 + 100.5, (at / 20) as f64 - 49.5);
+                    let w = weight((cx - x) / ratio.0) * weight((cy - y) / ratio.1);
+                    (sum, total) = (sum + w * f64::from(*value), total + w);
+                }
+                let found = k.at_point(&cells, x, y).value;
+                assert!((found - sum / total).abs() < 1e-11, "{resampling:?} {x} {y}: {found}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_mean_hangs_on_rounding_where_a_sliver_of_a_cell_decides() {
+        let mut data = plane(4, 4);
+        data[5] = f32::NAN; // cell (101, -49)
+        let cells = cells(&data, 4);
+        let k = Kernel { flip_x: 0.01, flip_y: 0.1, ..kernel(Resampling::Average) };
+        let mean = |x: (f64, f64), y: (f64, f64)| k.average(&cells, (x.0, y.0), (x.1, y.1));
+        for (x, y, valid, flips) in [
+            ((101.2, 101.8), (-48.8, -48.2), false, false),
+            ((101.2, 101.995), (-48.8, -48.2), false, true),
+            ((101.005, 101.8), (-48.8, -48.2), false, true),
+            ((101.2, 101.8), (-48.95, -48.2), false, true),
+            ((101.2, 101.8), (-48.8, -48.05), false, true),
+            ((101.2, 102.005), (-48.8, -48.2), true, true),
+            ((101.2, 102.02), (-48.8, -48.2), true, false),
+            ((100.995, 101.8), (-48.8, -48.2), true, true),
+            ((101.2, 101.8), (-49.05, -48.2), true, true),
+            ((101.2, 101.8), (-49.15, -48.2), true, false),
+        ] {
+            let sample = mean(x, y);
+            assert_eq!((!sample.value.is_nan(), sample.flips), (valid, flips), "{x:?} {y:?}");
+            // The corners may come in any order.
+            let turned = k.average(&cells, (x.1, y.0), (x.0, y.1));
+            assert!(turned == sample || turned.value.is_nan() && turned.flips == flips);
+        }
+    }
+
+    #[test]
     fn cubic_falls_back_to_bilinear_beside_a_hole() {
         let mut data: Vec<f32> = (0..64).map(|k| ((k * 37) % 17) as f32).collect();
         let full = data.clone();

@@ -265,6 +265,17 @@ mod tests {
     }
 
     #[test]
+    fn weights_are_a_raised_cosine_and_a_bell_of_32_pixels() {
+        for index in [0_u32, 37, 127, 128, 255] {
+            let at = f64::from(index) + 0.5;
+            let cosine = 0.5 - 0.5 * libm::cos(std::f64::consts::TAU * at / 256.0);
+            assert!((Blend::Hann.weight(index) - cosine).abs() < 1e-15, "{index}");
+            let bell = libm::exp(-(at - 128.0) * (at - 128.0) / 2048.0);
+            assert!((Blend::Gaussian.weight(index) - bell).abs() < 1e-15, "{index}");
+        }
+    }
+
+    #[test]
     fn the_mean_counts_windows() {
         let all = windows(1000, 64, 32, Blend::Mean);
         // As the reference counts: how many trimmed windows cover a pixel.

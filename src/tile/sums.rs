@@ -203,6 +203,11 @@ mod tests {
     }
 
     #[test]
+    fn a_line_takes_four_bytes_for_each_level_of_each_column() {
+        assert_eq!(Sums::line_bytes(7, 3), 84);
+    }
+
+    #[test]
     fn memory_and_file_hold_the_same_and_places_are_used_again() {
         let folder = tempfile::tempdir().expect("a folder");
         let mut stores =

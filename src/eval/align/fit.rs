@@ -256,11 +256,8 @@ impl Spread {
     /// a building that only one of the surfaces has is one.
     fn of(prediction: &Surface, truth: &Surface) -> Option<Self> {
         let (width, height) = prediction.size();
-        let stride = (width * height / SCALE_SAMPLE).max(1);
-        // Steps that share no factor with the width walk over all columns.
-        let stride = if stride > 1 && gcd(stride, width) != 1 { stride | 1 } else { stride };
         let sample: Vec<Pixel> = (0..width * height)
-            .step_by(stride)
+            .step_by(sample_step(width, height))
             .filter(|at| {
                 let (row, column) = (at / width, at % width);
                 row > 0 && row + 1 < height && column > 0 && column + 1 < width
@@ -313,6 +310,13 @@ fn weighted_median(mut values: Vec<(f64, f64)>) -> f64 {
         .unwrap_or_default()
 }
 
+/// Pixels from one sample to the next: about [`SCALE_SAMPLE`] in all, over all columns, which steps do that
+/// share no factor with the width.
+fn sample_step(width: usize, height: usize) -> usize {
+    let step = (width * height / SCALE_SAMPLE).max(1);
+    (step..).find(|step| gcd(*step, width) == 1).unwrap_or(step)
+}
+
 fn gcd(a: usize, b: usize) -> usize {
     if b == 0 { a } else { gcd(b, a % b) }
 }
@@ -345,5 +349,141 @@ mod tests {
             values.iter().map(|v| (v - sum / n) * (v - sum / n)).sum::<f64>() / (n - 1.0);
         let found = jackknife(values.iter().map(|v| (sum - v) / (n - 1.0)));
         assert!((found - (variance / n).sqrt()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn samples_are_taken_from_all_columns_of_every_width() {
+        assert_eq!(
+            (sample_step(640, 640), sample_step(100, 100), sample_step(256, 256)),
+            (13, 1, 3)
+        );
+        for (width, height) in [(645, 800), (21 * 15, 1_600), (630, 800), (1, 65_536), (65_536, 2)]
+        {
+            let step = sample_step(width, height);
+            assert_eq!(gcd(step, width), 1, "{width} {height}: {step}");
+            let wanted = width * height / SCALE_SAMPLE;
+            assert!((wanted..wanted + 8).contains(&step), "{width} {height}: {step}");
+        }
+    }
+
+    /// Pixels whose differences are those of a shift, with a constant; both surfaces have the same relief.
+    fn shifted(shift: Shift) -> impl Iterator<Item = (Pixel, f64)> {
+        (0..200).map(move |k| {
+            let k = f64::from(k);
+            let p = [libm::cos(2.0 * k) + 0.3, 0.5 * libm::sin(3.0 * k) - 0.2 * libm::cos(2.0 * k)];
+            let d = 1.5 - p[0] * shift.x - p[1] * shift.y;
+            (Pixel { p, t: p, d }, 1.0 + 0.5 * libm::sin(7.0 * k))
+        })
+    }
+
+    #[test]
+    fn weighted_sums_give_back_the_shift_that_made_the_differences() {
+        let shift = Shift { x: 0.7, y: -1.9 };
+        let (mut all, mut part, mut rest) = (Sums::default(), Sums::default(), Sums::default());
+        for (k, (pixel, weight)) in shifted(shift).enumerate() {
+            all.add(&pixel, weight);
+            if k < 70 { part.add(&pixel, weight) } else { rest.add(&pixel, weight) }
+        }
+        let (found, shared) = all.solve(1e-6).expect("relief");
+        assert!(
+            (found.x - shift.x).abs() < 1e-12 && (found.y - shift.y).abs() < 1e-12,
+            "{found:?}"
+        );
+        assert!((shared - 1.0).abs() < 1e-12, "{shared}");
+        // Sums without a block are those of the others.
+        let mut without = all;
+        without.merge(&part, -1.0);
+        let [a, b] = [without, rest].map(|sums| {
+            [sums.pixels as f64, sums.weight, sums.d, sums.p[0], sums.p[1], sums.t[0], sums.t[1]]
+                .into_iter()
+                .chain(sums.plain)
+                .chain(sums.crossed)
+                .chain(sums.gd)
+                .collect::<Vec<_>>()
+        });
+        assert!(a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-12), "{a:?} {b:?}");
+    }
+
+    #[test]
+    fn relief_of_one_direction_or_of_too_few_pixels_determines_no_shift() {
+        let sums = |count: usize, squeeze: f64| {
+            let mut sums = Sums::default();
+            for (mut pixel, weight) in shifted(Shift { x: 1.0, y: 1.0 }).take(count) {
+                pixel.p[1] = 0.5 * pixel.p[0] + squeeze * pixel.p[1];
+                pixel.t = pixel.p;
+                sums.add(&pixel, weight);
+            }
+            sums
+        };
+        assert!(sums(200, 1.0).solve(0.01).is_some() && sums(50, 1.0).solve(0.01).is_some());
+        assert!(sums(49, 1.0).solve(0.01).is_none());
+        assert!(sums(200, 0.0).solve(0.0).is_none() && sums(200, 0.01).solve(0.01).is_none());
+        assert!(sums(200, 1.0).solve(f64::NAN).is_none());
+    }
+
+    #[test]
+    fn relief_that_the_truth_has_alone_is_not_shared_and_does_not_shrink_the_shift() {
+        // The prediction lacks half of the slopes: gradients t = p + noise that nothing explains.
+        let mut sums = Sums::default();
+        for k in 0..4_000 {
+            let unit =
+                |purpose: u64| 2.0 * crate::random::unit(crate::random::mix(k * 8 + purpose)) - 1.0;
+            let p = [unit(0), 2.0 * unit(1)];
+            let t = [p[0] + 0.5 * unit(2), p[1] + 2.0 * unit(3)];
+            let d = 4.0 - 0.25 * p[0] - 0.5 * p[1];
+            sums.add(&Pixel { p, t, d }, 1.0);
+        }
+        let (found, shared) = sums.solve(1e-6).expect("relief");
+        assert!((found.x - 0.25).abs() < 0.01 && (found.y - 0.5).abs() < 0.02, "{found:?}");
+        // Along y the mean gradient has 4/3 + 1/3 of variance where both have 4/3 in common.
+        assert!((shared - 0.8).abs() < 0.02, "{shared}");
+    }
+
+    #[test]
+    fn pixels_count_by_how_far_heights_and_gradients_disagree() {
+        let spread = Spread { middle: 0.0, height: 0.5, gradient: 0.1 };
+        let pixel = |x, d| Pixel { p: [1.0 + x, 2.0], t: [1.0, 2.0], d };
+        assert_eq!(spread.weight(&pixel(0.0, 0.0)), 1.0);
+        assert!((spread.weight(&pixel(0.0, -CAUCHY * 0.5)) - 0.5).abs() < 1e-15);
+        assert!((spread.weight(&pixel(1.1, 3.0 * CAUCHY * 0.5)) - 0.1).abs() < 1e-15);
+        assert_eq!(spread.weight(&pixel(-1.3, 0.0)), 0.0);
+        assert_eq!(Spread { height: 0.0, ..spread }.weight(&pixel(0.0, 9.0)), 1.0);
+        assert!(
+            (Pixel { p: [3.0, 1.0], t: [0.0, 5.0], d: 0.0 }.gradient_difference() - 5.0).abs()
+                < 1e-15
+        );
+    }
+
+    #[test]
+    fn a_weighted_median_is_where_half_of_the_weight_is_reached() {
+        assert_eq!(weighted_median(vec![(3.0, 1.0), (1.0, 1.0), (2.0, 1.0)]), 2.0);
+        assert_eq!(weighted_median(vec![(3.0, 5.0), (1.0, 1.0), (2.0, 1.0)]), 3.0);
+        assert_eq!(weighted_median(vec![(1.0, 2.0), (2.0, 1.0), (3.0, 1.0)]), 1.0);
+    }
+
+    #[test]
+    fn a_step_of_a_shifted_surface_is_its_shift_and_its_error_covers_the_miss() {
+        let surface = |dx: f64, dy: f64, noise: f64| {
+            let height = |k: usize| {
+                let (x, y) = ((k % 72) as f64 - dx, (k / 72) as f64 - dy);
+                let grain = crate::random::unit(crate::random::mix(k as u64)) - 0.5;
+                (20.0 * libm::sin(0.11 * x + 0.05 * y)
+                    + 15.0 * libm::cos(0.13 * y - 0.02 * x)
+                    + noise * grain) as f32
+            };
+            Surface::new(72, 60, (0..72 * 60).map(height).collect())
+        };
+        let found = fit(&surface(0.3, -0.2, 0.02), &surface(0.0, 0.0, 0.0)).expect("a fit");
+        assert!(
+            (found.step.x - 0.3).abs() < 5e-3 && (found.step.y + 0.2).abs() < 5e-3,
+            "{found:?}"
+        );
+        assert!(found.error.x > 1e-5 && found.error.x < 5e-3 && found.error.y < 5e-3, "{found:?}");
+        assert!(found.blocks == 64 && (found.shared - 1.0).abs() < 0.02, "{found:?}");
+        assert!(found.is_determined(0.5, 3.0, 0.01) && !found.is_determined(1.1, 3.0, 0.01));
+        assert!(!found.is_determined(0.5, 3.0, 1e-6) && !found.is_determined(0.5, 1e9, 0.01));
+        let flat = Surface::new(72, 60, vec![1.0; 72 * 60]);
+        let alone = fit(&surface(0.0, 0.0, 0.0), &flat).expect("relief of one");
+        assert!(!alone.is_determined(0.2, 3.0, 10.0) && fit(&flat, &flat).is_none(), "{alone:?}");
     }
 }
