@@ -163,7 +163,7 @@ fn heights_are_the_surface_in_metres_at_the_exact_pixel_positions() {
 }
 
 #[test]
-fn tiles_cut_from_a_raster_give_the_bytes_of_the_raster() {
+pub fn tiles_cut_from_a_raster_give_the_bytes_of_the_raster() {
     let uncut = Area::new(&[("a.tif", WHOLE)], 3);
     let cut = Area::new(
         &[

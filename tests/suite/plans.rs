@@ -252,9 +252,9 @@ fn an_inference_does_what_its_plan_has_on_and_nothing_else() {
     fs::write(city.path("path.csv"), "pixel_x,pixel_y\n300,300\n320,300\n").unwrap();
     covered(
         &[
-            city.infer("plain", "--dsm-size 64"),
+            city.infer("heights", "--dsm-size 64"),
             city.infer(
-                "every",
+                "outputs",
                 "--dsm-size 32 --geotiff --scene --mesh ply --density npy --grid-size 32 --satellite --panorama
                  --perspective --size 64x64 --height 3 --position px:320,320 --with depth",
             ),
@@ -262,7 +262,8 @@ fn an_inference_does_what_its_plan_has_on_and_nothing_else() {
         &["cameras", "trajectory"],
     );
     // A scene needs no network.
-    let mut again = city.sat3d(&["infer", "-q", "every/satellite_47.6_-122.33.scene.safetensors"]);
+    let mut again =
+        city.sat3d(&["infer", "-q", "outputs/satellite_47.6_-122.33.scene.safetensors"]);
     again.args(["--out", "again", "--dsm-size", "32", "--threads", "2"]);
     let on = complete(&again);
     assert!(!on.contains("network") && on.contains("rays"), "{on:?}");
@@ -399,6 +400,15 @@ fn the_plans_of_simulations_are_stable() {
     stable("explain_simulate_overruled", &command, &scenes);
 }
 
+#[test]
+fn the_plan_of_a_tradeoff_is_stable() {
+    let mut command = sat3d();
+    command.args(["tradeoff", "-q"]);
+    stable("explain_tradeoff", &command, Path::new("/nowhere"));
+    command.args(["--quick", "--stage", "eval,tile"]);
+    stable("explain_tradeoff_quick", &command, Path::new("/nowhere"));
+}
+
 #[cfg(feature = "train")]
 #[test]
 fn the_plan_of_a_training_is_stable() {
@@ -430,6 +440,7 @@ fn plans_as_json_have_one_shape_for_all_commands() {
         city.eval("--pred half"),
         city.infer("x", ""),
         city.tile("plain.png", "x", "--gsd 0.25"),
+        city.sat3d(&["tradeoff", "-q"]),
         simulate,
     ];
     let mut parameters = serde_json::Map::new();

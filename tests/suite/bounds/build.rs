@@ -45,6 +45,12 @@ pub const LEDGER: Ledger = &[
     ("vertical-unit", &[units_change_no_height_beyond_its_rounding]),
     ("quantise", &[quantising_and_storing_keep_their_bounds_at_any_height]),
     ("storage", &[quantising_and_storing_keep_their_bounds_at_any_height]),
+    ("coverage", &[crate::dsm_bench_build::tiles_cut_from_a_raster_give_the_bytes_of_the_raster]),
+    ("bare-earth", &[what_is_written_beside_changes_no_height]),
+    ("source-tile", &[what_is_written_beside_changes_no_height]),
+    ("geotiff", &[what_is_written_beside_changes_no_height]),
+    ("preview", &[what_is_written_beside_changes_no_height]),
+    ("stac", &[what_is_written_beside_changes_no_height]),
 ];
 
 fn the_tolerance() {
@@ -389,6 +395,23 @@ pub fn quantising_and_storing_keep_their_bounds_at_any_height() {
         assert!(sizes[3] < sizes[2] && sizes[2] < sizes[0], "{sizes:?}");
     }
     share.check();
+}
+
+#[test]
+pub fn what_is_written_beside_changes_no_height() {
+    let area = Area::new(&SITES[0], SURFACES[3]);
+    let plain = area.run(area.options());
+    let mut all = area.options();
+    all.out = area.folder.path().join("all");
+    all.dtm.clone_from(&all.lidar);
+    (all.source_tile, all.geotiff, all.preview, all.stac) = (true, true, true, true);
+    let beside = area.run(all);
+    let bits = |dsm: &[f32]| dsm.iter().map(|z| z.to_bits()).collect::<Vec<_>>();
+    assert_eq!(bits(&plain.dsm), bits(&beside.dsm));
+    for id in ["bare-earth", "source-tile", "geotiff", "preview", "stac"] {
+        let on = |built: &Built<'_>| built.plan().step(id).is_some_and(|step| step.on);
+        assert!(!on(&plain) && on(&beside), "{id}");
+    }
 }
 
 /// Plans over all options that have a step of their own.

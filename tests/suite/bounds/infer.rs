@@ -25,8 +25,7 @@ pub const LEDGER: Ledger = &[
     ("decode", &[what_is_asked_for_beside_it_changes_no_output]),
     ("ground-size", &[scales_change_no_height_of_the_cube]),
     ("resize", &[what_is_asked_for_beside_it_changes_no_output]),
-    ("encoder", &[a_precision_errs_within_its_bound_and_the_tolerance]),
-    ("decoder", &[a_precision_errs_within_its_bound_and_the_tolerance]),
+    ("network", &[a_precision_errs_within_its_bound_and_the_tolerance]),
     ("precision", &[a_precision_errs_within_its_bound_and_the_tolerance]),
     ("fold", &[a_folded_field_is_the_field]),
     ("colour", BESIDE),
@@ -50,7 +49,6 @@ pub const LEDGER: Ledger = &[
     ("cameras", BESIDE),
     ("trajectory", BESIDE),
     ("animation", BESIDE),
-    ("video", BESIDE),
     ("surface-probe", BESIDE),
     ("view-depth", BESIDE),
 ];

@@ -11,7 +11,9 @@ use sat3d::scene::lidar::{Layer, Survey, Tile};
 use sat3d::scene::object::Epoch;
 use sat3d::scene::pixels::PixelPositions;
 use sat3d::scene::solid::Ray;
-use sat3d::scene::spec::{ChangeSpec, Sampling, Season, SunSpec, ViewSpec};
+use sat3d::scene::spec::{
+    CameraSpec, ChangeSpec, ImageColours, PictureSpec, Sampling, Season, SunSpec, ViewSpec,
+};
 use sat3d::scene::{Effect, Options, Scene, SceneSpec};
 use sat3d::units::{Metres, US_SURVEY_FOOT_M};
 
@@ -33,6 +35,9 @@ pub const LEDGER: Ledger = &[
     ("missing-pulses", &[heights_keep_the_bounds_of_what_is_left_out]),
     ("gaps", &[heights_keep_the_bounds_of_what_is_left_out]),
     ("sensor-noise", &[the_sensors_noise_changes_no_height_and_few_grey_levels]),
+    ("camera", &[what_becomes_of_a_picture_changes_no_height]),
+    ("palette", &[what_becomes_of_a_picture_changes_no_height]),
+    ("picture", &[what_becomes_of_a_picture_changes_no_height]),
     ("units", &[a_stored_height_is_within_half_a_step]),
 ];
 
@@ -327,6 +332,22 @@ pub fn the_sensors_noise_changes_no_height_and_few_grey_levels() {
         }
     }
     share.check();
+}
+
+#[test]
+pub fn what_becomes_of_a_picture_changes_no_height() {
+    let spec = spec(3);
+    let mut with = spec.clone();
+    with.camera = Some(CameraSpec::default());
+    with.images.colours = ImageColours::Palette;
+    with.picture = Some(PictureSpec::default());
+    let (plain, with) = (scene(&spec, &everything()), scene(&with, &everything()));
+    assert_eq!(survey(&plain), survey(&with));
+    for id in ["camera", "palette", "picture"] {
+        let on = |scene: &Scene| scene.plan.step(id).is_some_and(|step| step.on);
+        assert!(!on(&plain) && on(&with), "{id}");
+        assert_eq!(with.plan.step(id).map(|step| step.bound), Some(Bound::EXACT), "{id}");
+    }
 }
 
 #[test]

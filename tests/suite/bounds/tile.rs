@@ -26,6 +26,9 @@ use std::sync::OnceLock;
 /// The test of each step of the plan.
 pub const LEDGER: Ledger = &[
     ("ground-size", SAME),
+    ("spool", SAME),
+    ("dsm", SAME),
+    ("mesh", SAME),
     ("resample", SAME),
     ("scale", SAME),
     ("no-data", SAME),
