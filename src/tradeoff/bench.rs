@@ -29,7 +29,7 @@ struct Built {
 impl Delivery {
     fn new(quick: bool) -> Result<Self, TradeoffError> {
         let folder = tempfile::tempdir().map_err(TradeoffError::io("make a folder for a scene"))?;
-        let mut spec = spec(if quick { 150.0 } else { 230.0 });
+        let mut spec = spec(if quick { 140.0 } else { 230.0 });
         (spec.tiles.columns, spec.tiles.rows) = (2, 2);
         spec.tiles.overlap_pixels = 0;
         let scene = Scene::new(spec, &Options::default())?;

@@ -64,7 +64,7 @@ fn whole(path: &Path) -> Result<Vec<f32>, TradeoffError> {
 impl City {
     fn new(setup: &Setup<'_>) -> Result<Self, TradeoffError> {
         let folder = tempfile::tempdir().map_err(TradeoffError::io("make a folder for a city"))?;
-        let metres = setup.either(105.0, 165.0);
+        let metres = setup.either(85.0, 165.0);
         let mut spec = spec(metres + 20.0);
         spec.sun = Some(SunSpec { azimuth_degrees: 160.0, elevation_degrees: 45.0 });
         spec.camera = Some(CameraSpec::default());
@@ -152,7 +152,7 @@ fn study(setup: &Setup<'_>, positions: Vec<Position>) -> Result<Switch, Tradeoff
 
 /// Pixels from one window to the next.
 pub(super) fn stride(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
-    let strides: &[u32] = if setup.quick { &[256, 192, 128, 64] } else { &[256, 192, 128, 64, 32] };
+    let strides: &[u32] = if setup.quick { &[256, 128, 64] } else { &[256, 192, 128, 64, 32] };
     let position = |&stride: &u32| {
         let windows = WindowOptions { stride, ..WindowOptions::default() };
         (format!("stride {stride}"), windows, TileLattice::default())

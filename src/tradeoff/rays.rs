@@ -165,7 +165,7 @@ pub(super) fn samples_of_boxes(setup: &Setup<'_>) -> Result<Switch, TradeoffErro
 }
 
 fn samples(setup: &Setup<'_>, field: &Field) -> Result<Switch, TradeoffError> {
-    let size = setup.either(64, 256);
+    let size = setup.either(48, 256);
     let truth = slow_heights(field, size);
     let ways = ways(field, size, if setup.quick { &EVEN[..6] } else { &EVEN })?;
     setup.clock.measure(subject(size, 1.0), ways, |heights| Ok(judged(heights, &truth)))
@@ -174,7 +174,7 @@ fn samples(setup: &Setup<'_>, field: &Field) -> Result<Switch, TradeoffError> {
 /// How 96 samples are shared between the whole ray and the part where the light ends.
 pub(super) fn importance(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
     let field = trained(setup)?;
-    let size = setup.either(64, 256);
+    let size = setup.either(48, 256);
     let truth = slow_heights(&field, size);
     let parts = [[88, 8], [72, 24], [48, 48], [24, 72], [8, 88]];
     let ways = ways(&field, size, &parts)?;

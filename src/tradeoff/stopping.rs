@@ -76,7 +76,7 @@ fn march(field: &Field, size: usize, least: f64) -> Marched {
 /// At which transmittance a ray ends.
 pub(super) fn early_stop(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
     let field = trained(setup)?;
-    let size = setup.either(64, 256);
+    let size = setup.either(48, 256);
     let truth = slow_heights(&field, size);
     let field = &field;
     let ways = [0.0, 1e-6, 1e-4, 1e-2, 5e-2]
