@@ -64,7 +64,7 @@ fn whole(path: &Path) -> Result<Vec<f32>, TradeoffError> {
 impl City {
     fn new(setup: &Setup<'_>) -> Result<Self, TradeoffError> {
         let folder = tempfile::tempdir().map_err(TradeoffError::io("make a folder for a city"))?;
-        let metres = setup.either(85.0, 165.0);
+        let metres = setup.either(85.0, 125.0);
         let mut spec = spec(metres + 20.0);
         spec.sun = Some(SunSpec { azimuth_degrees: 160.0, elevation_degrees: 45.0 });
         spec.camera = Some(CameraSpec::default());
