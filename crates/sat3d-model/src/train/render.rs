@@ -6,7 +6,6 @@
 use super::blend::Taps;
 use super::field::{FieldTensors, Points, Table, activate, cross};
 use super::rays::Rays;
-use crate::field::kernel::one_minus_exp;
 use crate::random::Draw;
 use crate::render::Composite;
 use crate::render::frames::Vector;
@@ -112,22 +111,11 @@ fn integrate(field: &FieldTensors, raw: Tensor<2>, radii: &[f32]) -> Tensor<2> {
     let device = field.device();
     let between = (raw.clone().narrow(1, 0, all - 1) + raw.narrow(1, 1, all - 1)) / 2.0;
     let steps = plain(pairs(radii, all, |a, b| b - a), [count, all - 1], &device);
-    let depth = activate(field.activation(), between) * steps;
-    let passed = depth.clone().neg().exp();
+    let passed = (activate(field.activation(), between) * steps).neg().exp();
     // The product of what passed before, as a sum of logarithms: its gradient needs no division.
     let before = (passed.clone() + EPSILON).log().narrow(1, 0, all - 2).cumsum(1);
     let before = Tensor::cat(vec![Tensor::zeros([count, 1], &device), before], 1);
-    opaque(depth, passed) * before.exp()
-}
-
-/// `1 - exp(-depth)` of depths from 0, given `passed = exp(-depth)`, without the difference's loss in thin media. The gradient
-/// is the difference's, which is `passed` and loses nothing: the difference is added as itself less itself.
-fn opaque(depth: Tensor<2>, passed: Tensor<2>) -> Tensor<2> {
-    let (shape, device) = (depth.dims(), depth.device());
-    let values = depth.detach().into_data();
-    let exact = plain(values.iter::<f32>().map(one_minus_exp).collect(), shape, &device);
-    let difference = passed.neg() + 1.0;
-    exact + (difference.clone() - difference.detach())
+    (passed.neg() + 1.0) * before.exp()
 }
 
 /// A value for each two neighbours within a ray.

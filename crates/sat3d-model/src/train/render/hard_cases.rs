@@ -1,5 +1,4 @@
-//! The quadrature with gradients where 32-bit tensors lose what textbook forms take differences of
-//! (`docs/numerics-field.md`).
+//! The quadrature with gradients from haze to solid (`docs/numerics-field.md`).
 
 use super::*;
 use crate::field::DensityActivation;
@@ -32,39 +31,36 @@ fn oracle(raw: f64, radii: &[f32]) -> (Vec<f64>, f64) {
 }
 
 #[test]
-fn weights_of_thin_media_keep_their_digits_and_their_gradients() {
+fn gradients_of_thin_media_are_right_where_their_values_are_rounded_away() {
     let device = Device::flex().autodiff();
     let (_, field, _) = both(REPRESENTATIONS[0], DensityActivation::Mipnerf, None);
     let radii: Vec<f32> = (0..SAMPLES).map(|k| k as f32 * STEP).collect();
-    let (mut worst, mut steepest, mut theirs) = (0.0_f64, 0.0_f64, 0.0_f64);
+    let weights_of = |raw: f32| {
+        let data = TensorData::new(vec![raw; SAMPLES], [1, SAMPLES]);
+        let leaf = Tensor::<2>::from_data(data, &device).require_grad();
+        (leaf.clone(), integrate(&field, leaf, &radii))
+    };
+    let (mut worst, mut steepest) = (0.0_f64, 0.0_f64);
     // Densities from 1e-30 to 1e30.
     let raws = (-68..=20).map(f64::from).chain([1e3, 1e10, 1e20, 1e30]);
     for raw in raws {
-        let data = TensorData::new(vec![raw as f32; SAMPLES], [1, SAMPLES]);
-        let leaf = Tensor::<2>::from_data(data, &device).require_grad();
-        let weights = integrate(&field, leaf.clone(), &radii);
+        let (leaf, weights) = weights_of(raw as f32);
         let gradients = weights.clone().sum().backward();
         let slopes = values(leaf.grad(&gradients).expect("a gradient"));
         let (want, slope) = oracle(raw, &radii);
         for (got, want) in values(weights).iter().zip(&want) {
-            let error = (got - want).abs();
-            // A transmittance is the exponential of a sum of up to 87, in 32 bits.
-            assert!(error <= 2e-4 * want + 1e-37, "{raw}: {got} {want}");
-            if raw < 0.0 {
-                worst = worst.max(error / want);
-            }
+            worst = worst.max((got - want).abs());
         }
-        let sum: f64 = slopes.iter().sum();
         assert!(slopes.iter().all(|slope| slope.is_finite()), "{raw}: {slopes:?}");
         if slope > 1e-30 && raw < 4.0 {
-            steepest = steepest.max((sum / slope - 1.0).abs());
-        }
-        if raw < -17.0 {
-            let tau = DensityActivation::Mipnerf.apply(raw as f32) * STEP;
-            theirs = theirs.max((f64::from(1.0 - libm::expf(-tau)) / want[0] - 1.0).abs());
+            steepest = steepest.max((slopes.iter().sum::<f64>() / slope - 1.0).abs());
         }
     }
-    eprintln!("weights of thin media {worst:e}, slopes {steepest:e}; 1 - exp: {theirs}");
-    assert!(worst < 1e-5 && steepest < 1e-4, "{worst:e} {steepest:e}");
-    assert!(theirs == 1.0, "{theirs}");
+    eprintln!("weights {worst:e} of the light, slopes {steepest:e}");
+    // A weight is a difference of 32-bit numbers next to 1; its slope is none.
+    assert!(worst < 1e-7 && steepest < 1e-4, "{worst:e} {steepest:e}");
+    // By differences of those values there would be no slope at all.
+    let sum = |raw: f32| values(weights_of(raw).1).iter().sum::<f64>();
+    assert_eq!((sum(-16.9) - sum(-17.1)) / 0.2, 0.0);
+    assert!(oracle(-17.0, &radii).1 > 1e-8);
 }
