@@ -108,7 +108,15 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
         format!("{}\nwrote {}\n", table(&report), files.join(", "))
     };
     console::print(&text)?;
-    Ok(ExitCode::Success)
+    if let Some(first) = report.failed.first() {
+        anyhow::bail!(
+            "{} of the switches could not be measured, the first {}: {}",
+            report.failed.len(),
+            first.name,
+            first.reason
+        );
+    }
+    Ok(if report.interrupted { ExitCode::Interrupted } else { ExitCode::Success })
 }
 
 fn write(folder: &Path, name: &str, bytes: &[u8]) -> anyhow::Result<()> {

@@ -220,10 +220,7 @@ impl Workshop<'_> {
             return Ok((PixelMap::fit(exact, layer.lattice, form)?, form));
         }
         let map = PixelMap::fit(exact, layer.lattice, TransformForm::Chebyshev)?;
-        let form = [TransformForm::Affine, TransformForm::Separable, TransformForm::Chebyshev]
-            .into_iter()
-            .find(|form| map.errors().of(*form) * crs.metres_per_unit <= self.budget.transform_m)
-            .unwrap_or(TransformForm::Exact);
+        let form = map.errors().cheapest(self.budget.transform_m / crs.metres_per_unit);
         let map = if form == TransformForm::Chebyshev { map } else { map.with_form(form)? };
         Ok((map, form))
     }

@@ -162,6 +162,15 @@ impl FitErrors {
         }
     }
 
+    /// The cheapest form that errs by no more than `most` (CRS units); the exact one where no other does.
+    #[must_use]
+    pub fn cheapest(&self, most: f64) -> TransformForm {
+        [TransformForm::Affine, TransformForm::Separable, TransformForm::Chebyshev]
+            .into_iter()
+            .find(|form| self.of(*form) <= most)
+            .unwrap_or(TransformForm::Exact)
+    }
+
     /// The worse of two, form by form.
     #[must_use]
     pub fn worst(self, other: Self) -> Self {

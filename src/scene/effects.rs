@@ -3,7 +3,7 @@
 
 use super::error::SceneError;
 use super::frame::Frame;
-use super::spec::{ImageColours, SceneSpec};
+use super::spec::SceneSpec;
 use super::terrain::Terrain;
 use crate::grid::WGS84_A;
 use crate::plan::{Bound, Plan, Step, runs};
@@ -12,6 +12,9 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::fmt;
 use std::str::FromStr;
+use steps::{picture_steps, projection_step, units_step};
+
+mod steps;
 
 /// Budget of a simulation unless `--tolerance` says otherwise: a tenth of the finest lidar noise.
 pub const DEFAULT_TOLERANCE: Metres = Metres(1e-3);
@@ -306,70 +309,6 @@ pub fn resolve(
     Ok((Effects(on), plan))
 }
 
-fn projection_step() -> Step {
-    Step {
-        id: "projection".to_owned(),
-        on: true,
-        form: "EPSG:2927, closed form, every pixel".to_owned(),
-        bound: Bound::horizontal(5e-8),
-        cost: "0.3 us per pixel".to_owned(),
-        cause: "images are Web Mercator, lidar is State Plane".to_owned(),
-        reason: "the truth is taken at each pixel's own position".to_owned(),
-    }
-}
-
-/// What becomes of a finished picture. No height depends on it.
-fn picture_steps(spec: &SceneSpec) -> [Step; 3] {
-    let why = |on: bool, table: &str| {
-        if on { "the scene asks for it".to_owned() } else { format!("no {table}") }
-    };
-    let palette = spec.images.colours == ImageColours::Palette;
-    let step = |id: &str, on: bool, form: &str, cost: &str, cause: &str| {
-        Step::exact(id, on, form, [cost, cause, &why(on, cause)])
-    };
-    [
-        step(
-            "camera",
-            spec.camera.is_some(),
-            "haze, white balance, contrast, blur, sharpening",
-            "two passes over the picture",
-            "[camera] table",
-        ),
-        step(
-            "palette",
-            palette,
-            "256 colours by median cut",
-            "one sort of the picture's colours",
-            "images.colours = \"palette\"",
-        ),
-        step(
-            "picture",
-            spec.picture.is_some(),
-            "GeoTIFF of the whole extent, and its heights",
-            "as the images, over the whole extent",
-            "[picture] table",
-        ),
-    ]
-}
-
-fn units_step(heights: &HeightBounds, noise_m: f64) -> Step {
-    // Half a step of a 32-bit float at the largest value, in feet: low land may lie deeper than it
-    // stands high.
-    let lowest = heights.highest - heights.above_ground - heights.ground_range;
-    let largest_m = heights.highest.abs().max(lowest.abs()) + noise_m;
-    let feet = (largest_m / crate::units::US_SURVEY_FOOT_M) as f32;
-    let half_step = f64::from(feet.next_up() - feet) / 2.0;
-    Step {
-        id: "units".to_owned(),
-        on: true,
-        form: "metres to US survey feet, 32-bit float".to_owned(),
-        bound: Bound::vertical(half_step * crate::units::US_SURVEY_FOOT_M),
-        cost: "none".to_owned(),
-        cause: "lidar is delivered in feet".to_owned(),
-        reason: "rounding of the stored value".to_owned(),
-    }
-}
-
 fn cases(spec: &SceneSpec, frame: &Frame, terrain: &Terrain, heights: &HeightBounds) -> Vec<Case> {
     let mut cases = geometry_cases(spec, frame, terrain, heights);
     cases.extend(epoch_cases(spec, heights));
@@ -426,11 +365,17 @@ fn geometry_cases(
         ),
     };
     let scale = (frame.scale() - 1.0).abs();
+    // Light falls by the metre of the ground or, where that is left out, of the grid.
+    let scale_of_light = frame.scale().max(1.0);
     // Light that comes from somewhere, or a satellite that stands somewhere.
     let lit = spec.sun.is_some() || spec.view.is_some();
     // Over the scene the convergence changes by the longitude times the cone's constant (< 1).
     let turn_over_scene = reach(spec) / WGS84_A * 1.2;
-    let steepest = terrain.steepest(reach(spec));
+    let rise = spec.sun.map_or(0.0, |sun| {
+        let turn = frame.convergence();
+        let sun = [0.0, turn].map(|turn| sun.azimuth_degrees.to_radians() + turn);
+        rise_towards(terrain, sun, reach(spec), heights.ground_range / tan_sun)
+    });
     vec![
         Case {
             effect: Effect::Datum,
@@ -479,9 +424,12 @@ fn geometry_cases(
         },
         Case {
             effect: Effect::TerrainShadows,
-            present: spec.sun.is_some() && steepest >= tan_sun,
+            present: spec.sun.is_some() && rise * scale_of_light >= tan_sun,
             possible: spec.sun.is_some(),
-            cause: format!("{sky}; ground up to {steepest:.2} m per metre steep"),
+            cause: match spec.sun {
+                Some(_) => format!("{sky}; ground rises up to {rise:.2} m per metre towards it"),
+                None => sky.clone(),
+            },
             form: "ray march in steps of 2 m, refined",
             bound: Bound::horizontal(heights.ground_range / tan_sun),
             remains: Bound::horizontal(0.1),
@@ -513,6 +461,18 @@ fn geometry_cases(
             always: false,
         },
     ]
+}
+
+/// A bound on how steeply the ground rises towards the sun, rise per metre, wherever light of a scene of that reach
+/// comes by before it is above the highest ground, `clear` metres further on. The sun stands at one of two azimuths
+/// (radians): whether grid north is told from true north is decided later.
+fn rise_towards(terrain: &Terrain, azimuths: [f64; 2], reach: f64, clear: f64) -> f64 {
+    let half = reach + clear.min(2.0 * reach);
+    let rises = azimuths.map(|azimuth| {
+        let (east, north) = libm::sincos(azimuth);
+        terrain.steepest_towards([east, north], half)
+    });
+    rises[0].max(rises[1])
 }
 
 /// Effects of time between lidar and images.

@@ -8,6 +8,8 @@ use super::spec::{SceneSpec, Side, WaterSpec};
 use crate::random::Draw;
 use std::f64::consts::TAU;
 
+mod slope;
+
 /// Least distance from the shore over which the land comes down to the water, metres.
 const LEAST_STRIP_M: f64 = 34.0;
 /// Width of that strip per metre by which the land stands above the water: slopes stay walkable.

@@ -1,9 +1,9 @@
 //! Benchmark build, from files to files: coverage, rounding, compression.
 
-use super::clock::{Judged, Subject, Way};
+use super::clock::{Findings, Judged, Subject, Way};
 use super::report::Quantity;
 use super::truth::{Place, SIDE, ZOOM, rms, spec};
-use super::{Setup, Switch, TradeoffError};
+use super::{Setup, TradeoffError};
 use crate::batch::Interrupt;
 use crate::dsm_bench::{BuildOptions, Coverage, ImageSource, Quantisation, prepare};
 use crate::raster::npz::{self, Compression, NpyArray, NpyData};
@@ -14,6 +14,11 @@ use tempfile::TempDir;
 pub(super) const COVERAGE: &str = "images reach over the edge of a tile";
 pub(super) const QUANTISE: &str = "lidar heights carry less than f32 can hold";
 pub(super) const COMPRESSION: &str = "files take space";
+
+/// What a build does unless told otherwise.
+pub(super) fn defaults() -> BuildOptions {
+    BuildOptions::new(Vec::new(), ImageSource::List(PathBuf::new()), PathBuf::new())
+}
 
 /// A simulated delivery on disk: four tiles that meet without overlap in the middle of the city.
 struct Delivery {
@@ -96,15 +101,16 @@ fn size(path: &Path) -> u64 {
 }
 
 /// One tile an image, or all of them.
-pub(super) fn coverage(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
+pub(super) fn coverage(setup: &Setup<'_>) -> Result<Findings, TradeoffError> {
     let delivery = Delivery::new(setup.quick)?;
     let truth = delivery.heights(&delivery.scene().join("truth"))?;
     let images = delivery.names()?.len() as f64;
+    let default = defaults();
     let ways = [("best-tile", Coverage::BestTile), ("mosaic", Coverage::Mosaic)]
         .into_iter()
         .map(|(name, coverage)| {
             let delivery = &delivery;
-            Way::new(name, coverage == Coverage::BestTile, move || {
+            Way::new(name, coverage == default.coverage, move || {
                 delivery.build(name, setup.threads, |options| options.coverage = coverage)
             })
         })
@@ -124,11 +130,12 @@ pub(super) fn coverage(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
 }
 
 /// Heights rounded to multiples of a step.
-pub(super) fn quantise(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
+pub(super) fn quantise(setup: &Setup<'_>) -> Result<Findings, TradeoffError> {
     let delivery = Delivery::new(setup.quick)?;
     let images = delivery.names()?.len() as f64;
     let exact = delivery.build("exact", setup.threads, |_| {})?;
     let truth = delivery.heights(&exact.out)?;
+    let usual = defaults().quantise.map(|quantisation| quantisation.step_m);
     let steps = [None, Some(0.01), Some(0.1), Some(0.001), Some(0.05)];
     let ways = steps[..setup.either(3, 5)]
         .iter()
@@ -136,7 +143,7 @@ pub(super) fn quantise(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
         .map(|(k, &step)| {
             let delivery = &delivery;
             let name = step.map_or_else(|| "none".to_owned(), |step: f64| format!("{step} m"));
-            Way::new(name, step.is_none(), move || {
+            Way::new(name, step == usual, move || {
                 let built = delivery.build(&format!("step-{k}"), setup.threads, |options| {
                     options.quantise = step.map(|step_m| Quantisation { step_m });
                 })?;
@@ -163,7 +170,7 @@ pub(super) fn quantise(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
 const STORAGE_M: f64 = 1024.0 * f32::EPSILON as f64 / 2.0;
 
 /// Levels of compression.
-pub(super) fn compression(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
+pub(super) fn compression(setup: &Setup<'_>) -> Result<Findings, TradeoffError> {
     let place = Place::new()?;
     let heights = place.heights(&place.image(ZOOM, SIDE)?)?;
     let heights = &heights;

@@ -1,9 +1,9 @@
 //! Tiling: windows over a small city, from picture to DSM.
 
-use super::clock::{Judged, Subject, Way};
+use super::clock::{Findings, Judged, Subject, Way};
 use super::report::Quantity;
 use super::truth::spec;
-use super::{Setup, Switch, TradeoffError};
+use super::{Setup, TradeoffError};
 use crate::batch::Interrupt;
 use crate::eval::align::median;
 use crate::raster::{OpenOptions, open};
@@ -64,7 +64,8 @@ fn whole(path: &Path) -> Result<Vec<f32>, TradeoffError> {
 impl City {
     fn new(setup: &Setup<'_>) -> Result<Self, TradeoffError> {
         let folder = tempfile::tempdir().map_err(TradeoffError::io("make a folder for a city"))?;
-        let metres = setup.either(85.0, 125.0);
+        // Wide enough that each stride has other windows: 440 and 480 pixels for windows of 256.
+        let metres = setup.either(113.0, 125.0);
         let mut spec = spec(metres + 20.0);
         spec.sun = Some(SunSpec { azimuth_degrees: 160.0, elevation_degrees: 45.0 });
         spec.camera = Some(CameraSpec::default());
@@ -77,7 +78,8 @@ impl City {
         let scene = Scene::new(spec, &Options::default())?;
         simulate(&scene, folder.path(), true, &Interrupt::default())?;
         let truth = whole(&folder.path().join(TRUTH_FILE))?;
-        Ok(Self { folder, truth, km2: metres * metres / 1e6 })
+        let km2 = truth.len() as f64 * PIXEL_M * PIXEL_M / 1e6;
+        Ok(Self { folder, truth, km2 })
     }
 
     fn make(
@@ -129,7 +131,7 @@ impl City {
 /// A setting: name, windows, lattice.
 type Position = (String, WindowOptions, TileLattice);
 
-fn study(setup: &Setup<'_>, positions: Vec<Position>) -> Result<Switch, TradeoffError> {
+fn study(setup: &Setup<'_>, positions: Vec<Position>) -> Result<Findings, TradeoffError> {
     let city = City::new(setup)?;
     let city = &city;
     let usual = (WindowOptions::default(), TileLattice::default());
@@ -151,8 +153,8 @@ fn study(setup: &Setup<'_>, positions: Vec<Position>) -> Result<Switch, Tradeoff
 }
 
 /// Pixels from one window to the next.
-pub(super) fn stride(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
-    let strides: &[u32] = if setup.quick { &[256, 128, 64] } else { &[256, 192, 128, 64, 32] };
+pub(super) fn stride(setup: &Setup<'_>) -> Result<Findings, TradeoffError> {
+    let strides: &[u32] = if setup.quick { &[256, 128] } else { &[256, 128, 96, 64, 32] };
     let position = |&stride: &u32| {
         let windows = WindowOptions { stride, ..WindowOptions::default() };
         (format!("stride {stride}"), windows, TileLattice::default())
@@ -161,7 +163,7 @@ pub(super) fn stride(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
 }
 
 /// Weights where windows overlap.
-pub(super) fn blend(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
+pub(super) fn blend(setup: &Setup<'_>) -> Result<Findings, TradeoffError> {
     let position = |blend: Blend| {
         let windows = WindowOptions { blend, ..WindowOptions::default() };
         (blend.name().to_owned(), windows, TileLattice::default())
@@ -170,7 +172,7 @@ pub(super) fn blend(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
 }
 
 /// Pixels that are dropped along each side of a window.
-pub(super) fn trim(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
+pub(super) fn trim(setup: &Setup<'_>) -> Result<Findings, TradeoffError> {
     let position = |trim: u32| {
         let windows = WindowOptions { trim, ..WindowOptions::default() };
         (format!("trim {trim}"), windows, TileLattice::default())
@@ -179,7 +181,7 @@ pub(super) fn trim(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
 }
 
 /// Where densities are taken.
-pub(super) fn lattice(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
+pub(super) fn lattice(setup: &Setup<'_>) -> Result<Findings, TradeoffError> {
     let position =
         |lattice: TileLattice| (lattice.name().to_owned(), WindowOptions::default(), lattice);
     study(setup, [TileLattice::Pixels, TileLattice::Reference].map(position).into())

@@ -4,10 +4,9 @@
 //! rounds; each runs every way once, beginning with another one each time, so that what slows the machine
 //! for a while slows all of them. Work that is short is repeated within a round.
 
+use super::TradeoffError;
 use super::report::{Also, Quantity, Seconds, Setting, Skipped};
-use super::{Switch, TradeoffError};
 use crate::batch::Interrupt;
-use crate::tradeoff::Stage;
 use std::time::Instant;
 
 /// Fewest rounds of anything.
@@ -63,6 +62,40 @@ pub(super) struct Subject {
     pub units: f64,
 }
 
+/// What measuring a switch gave.
+pub(super) struct Findings {
+    pub truth: &'static str,
+    pub error: Quantity,
+    pub work: String,
+    pub settings: Vec<Setting>,
+    /// Positions that this machine or build does not have.
+    pub skipped: Vec<Skipped>,
+}
+
+/// A way while it is measured.
+struct Runner<'a, T> {
+    way: Way<'a, T>,
+    judged: Judged,
+    /// Calls of one measurement.
+    repeats: usize,
+    /// Seconds of a unit of work, one a round.
+    times: Vec<f64>,
+}
+
+impl<T> Runner<'_, T> {
+    fn setting(self) -> Setting {
+        Setting {
+            name: self.way.name,
+            default: self.way.default,
+            error: self.judged.error,
+            bound: self.judged.bound,
+            also: self.judged.also,
+            seconds: Seconds::of(self.times),
+            pareto: false,
+        }
+    }
+}
+
 /// Rounds and times of a run.
 pub(super) struct Clock<'a> {
     rounds: usize,
@@ -79,70 +112,56 @@ impl<'a> Clock<'a> {
         Self { rounds, budget, sample, stop }
     }
 
-    /// Runs all ways in turns and judges the first result of each.
+    /// Runs all ways in turns and judges the first result of each. A way that refuses the input and is not the
+    /// default is listed as skipped, with its reason.
     ///
     /// # Errors
     /// The first error of a way or of the judge; [`TradeoffError::Interrupted`].
     pub(super) fn measure<T>(
         &self,
         subject: Subject,
-        mut ways: Vec<Way<'_, T>>,
+        ways: Vec<Way<'_, T>>,
         mut judge: impl FnMut(&T) -> Result<Judged, TradeoffError>,
-    ) -> Result<Switch, TradeoffError> {
-        let mut judged = Vec::with_capacity(ways.len());
-        let mut repeats = Vec::with_capacity(ways.len());
+    ) -> Result<Findings, TradeoffError> {
+        let mut skipped = Vec::new();
+        let mut runners = Vec::with_capacity(ways.len());
         let mut round = 0.0;
-        for way in &mut ways {
+        for mut way in ways {
             let mut once = 0.0;
-            let first = self.time(&mut once, &mut way.work)?;
-            judged.push(judge(&first)?);
+            let first = match self.time(&mut once, &mut way.work) {
+                Err(error) if error.is_refusal() && !way.default => {
+                    skipped.push(Skipped { name: way.name, reason: error.to_string() });
+                    continue;
+                }
+                first => first?,
+            };
+            let judged = judge(&first)?;
             drop(first);
             // What is slow when it is cold is not worth a second look before the rounds.
             if once < self.sample * 10.0 {
                 self.time(&mut once, &mut way.work)?;
             }
-            let repeat = (self.sample / once.max(1e-9)).ceil().clamp(1.0, 1000.0);
-            repeats.push(repeat as usize);
-            round += once * repeat;
+            let repeats = (self.sample / once.max(1e-9)).ceil().clamp(1.0, 1000.0);
+            round += once * repeats;
+            runners.push(Runner { way, judged, repeats: repeats as usize, times: Vec::new() });
         }
         let rounds = self.rounds.min(((self.budget / round) as usize).max(LEAST_ROUNDS));
-        let mut times = vec![Vec::with_capacity(rounds); ways.len()];
         for first in 0..rounds {
-            for k in 0..ways.len() {
-                let at = (first + k) % ways.len();
+            for k in 0..runners.len() {
+                let at = (first + k) % runners.len();
+                let runner = &mut runners[at];
                 let started = Instant::now();
-                for _ in 0..repeats[at] {
+                for _ in 0..runner.repeats {
                     self.go_on()?;
-                    std::hint::black_box((ways[at].work)()?);
+                    std::hint::black_box((runner.way.work)()?);
                 }
                 let seconds = started.elapsed().as_secs_f64();
-                times[at].push(seconds / (repeats[at] as f64 * subject.units));
+                runner.times.push(seconds / (runner.repeats as f64 * subject.units));
             }
         }
-        let settings = ways
-            .into_iter()
-            .zip(judged)
-            .zip(times)
-            .map(|((way, judged), times)| Setting {
-                name: way.name,
-                default: way.default,
-                error: judged.error,
-                bound: judged.bound,
-                also: judged.also,
-                seconds: Seconds::of(times),
-                pareto: false,
-            })
-            .collect();
-        Ok(Switch {
-            stage: Stage::Build,
-            switch: String::new(),
-            cause: String::new(),
-            truth: subject.truth.into(),
-            error: subject.error,
-            work: subject.work,
-            settings,
-            skipped: Vec::<Skipped>::new(),
-        })
+        let settings = runners.into_iter().map(Runner::setting).collect();
+        let Subject { truth, error, work, .. } = subject;
+        Ok(Findings { truth, error, work, settings, skipped })
     }
 
     fn time<T>(

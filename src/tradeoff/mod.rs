@@ -48,7 +48,7 @@ use crate::raster::npz::NpzError;
 use crate::scene::SceneError;
 use crate::tile::TileError;
 use crate::weights::WeightsError;
-use clock::Clock;
+use clock::{Clock, Findings};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::path::PathBuf;
@@ -169,6 +169,11 @@ pub enum TradeoffError {
 }
 
 impl TradeoffError {
+    /// Whether a stage said that it cannot do what was asked of it with this input, and that nothing is wrong otherwise.
+    const fn is_refusal(&self) -> bool {
+        matches!(self, Self::Tile(TileError::Input(_)))
+    }
+
     fn io(action: &'static str) -> impl FnOnce(std::io::Error) -> Self {
         move |source| Self::Io { action, source }
     }
@@ -198,7 +203,7 @@ struct Study {
     cost: &'static str,
     /// Whether `--quick` has time for it.
     quick: bool,
-    measure: fn(&Setup<'_>) -> Result<Switch, TradeoffError>,
+    measure: fn(&Setup<'_>) -> Result<Findings, TradeoffError>,
 }
 
 /// All switches, in the order of the work.
@@ -318,8 +323,9 @@ pub fn plan(options: &Options) -> Plan {
 /// Measures what the plan says.
 ///
 /// # Errors
-/// [`TradeoffError`]: the first study that cannot be run. A single setting that this machine or build does
-/// not have is no error: it is listed with the reason.
+/// [`TradeoffError`] before anything has been measured: of the first study, or an interrupt. Later ones lose nothing: after
+/// an interrupt the report holds what was measured, and a switch that fails is listed in it, with the reason. A setting
+/// that this machine, build or model does not have is no failure; it is listed with the reason too.
 pub fn run(options: &Options, stop: &Interrupt) -> Result<Report, TradeoffError> {
     if options.rounds == 0 || options.threads == 0 || options.stages.is_empty() {
         return Err(TradeoffError::Input(
@@ -346,11 +352,35 @@ pub fn run(options: &Options, stop: &Interrupt) -> Result<Report, TradeoffError>
         threads: options.threads,
     };
     let mut switches = Vec::with_capacity(chosen.len());
+    let mut failed = Vec::new();
+    let mut interrupted = false;
     for study in chosen {
         tracing::info!("measuring {} of {}", study.switch, study.stage.name());
-        let mut switch = pool.install(|| (study.measure)(&setup))?;
-        (switch.stage, switch.switch) = (study.stage, study.switch.into());
-        switch.cause = study.cause.into();
+        let findings = match pool.install(|| (study.measure)(&setup)) {
+            // What is measured stays measured.
+            Err(TradeoffError::Interrupted) if !switches.is_empty() => {
+                interrupted = true;
+                break;
+            }
+            Err(error) if !switches.is_empty() => {
+                let name = format!("{}/{}", study.stage.name(), study.switch);
+                failed.push(Skipped { name, reason: error.to_string() });
+                progress.add(1);
+                continue;
+            }
+            outcome => outcome?,
+        };
+        let Findings { truth, error, work, settings, skipped } = findings;
+        let mut switch = Switch {
+            stage: study.stage,
+            switch: study.switch.into(),
+            cause: study.cause.into(),
+            truth: truth.into(),
+            error,
+            work,
+            settings,
+            skipped,
+        };
         switch.mark_pareto();
         switches.push(switch);
         progress.add(1);
@@ -362,6 +392,8 @@ pub fn run(options: &Options, stop: &Interrupt) -> Result<Report, TradeoffError>
         plan_sha256: plan.hash(),
         plan,
         switches,
+        failed,
+        interrupted,
         seconds: started.elapsed().as_secs_f64(),
     })
 }

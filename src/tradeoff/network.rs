@@ -1,10 +1,10 @@
 //! Inference: engine and precision of the large network.
 
-use super::clock::{Judged, Subject, Way};
+use super::clock::{Findings, Judged, Subject, Way};
 use super::rays::downtown;
 use super::report::{Quantity, Skipped};
 use super::truth::{quantile, rms};
-use super::{Setup, Switch, TradeoffError};
+use super::{Setup, TradeoffError};
 use crate::footprint::TRAINING_WIDTH_M;
 use crate::model::field::{Field, FieldInputs};
 use crate::model::network::{Engine, Execution, Precision};
@@ -16,7 +16,7 @@ use crate::model::{Config, Device, Grid, preprocess};
 pub(super) const CAUSE: &str = "products and sums are rounded";
 
 /// Every engine with every precision that this machine serves.
-pub(super) fn precision(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
+pub(super) fn precision(setup: &Setup<'_>) -> Result<Findings, TradeoffError> {
     let config = Config::released();
     let side = config.image_side();
     let image = preprocess::satellite(&downtown(side)?, side)?;
@@ -73,6 +73,6 @@ pub(super) fn precision(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
             lower => judged.bounded(lower.bound().p95_m),
         })
     })?;
-    switch.skipped = skipped;
+    switch.skipped.extend(skipped);
     Ok(switch)
 }

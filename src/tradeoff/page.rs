@@ -66,6 +66,10 @@ pub fn html(report: &Report) -> String {
             section(&mut page, switch);
         }
     }
+    for failed in &report.failed {
+        let (name, reason) = (escape(&failed.name), escape(&failed.reason));
+        let _ = writeln!(page, "<p>Could not be measured: {name}: {reason}</p>");
+    }
     page += "</body>\n</html>\n";
     page
 }

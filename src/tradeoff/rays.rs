@@ -1,9 +1,9 @@
 //! Inference: samples along a ray, importance sampling, size of the DSM.
 
-use super::clock::{Judged, Subject, Way};
+use super::clock::{Findings, Judged, Subject, Way};
 use super::report::Quantity;
 use super::truth::{quantile, rms};
-use super::{Setup, Switch, TradeoffError};
+use super::{Setup, TradeoffError};
 use crate::footprint::TRAINING_WIDTH_M;
 use crate::model::field::Field;
 use crate::model::field::closed_form::{BoxCity, Building};
@@ -153,18 +153,18 @@ fn subject(size: usize, units: f64) -> Subject {
 }
 
 /// How many samples a ray has, through the field of a network.
-pub(super) fn samples_of_network(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
+pub(super) fn samples_of_network(setup: &Setup<'_>) -> Result<Findings, TradeoffError> {
     let field = trained(setup)?;
     samples(setup, &field)
 }
 
 /// The same through a city of boxes.
-pub(super) fn samples_of_boxes(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
+pub(super) fn samples_of_boxes(setup: &Setup<'_>) -> Result<Findings, TradeoffError> {
     let (_, field) = boxes()?;
     samples(setup, &field)
 }
 
-fn samples(setup: &Setup<'_>, field: &Field) -> Result<Switch, TradeoffError> {
+fn samples(setup: &Setup<'_>, field: &Field) -> Result<Findings, TradeoffError> {
     let size = setup.either(48, 256);
     let truth = slow_heights(field, size);
     let ways = ways(field, size, if setup.quick { &EVEN[..6] } else { &EVEN })?;
@@ -172,7 +172,7 @@ fn samples(setup: &Setup<'_>, field: &Field) -> Result<Switch, TradeoffError> {
 }
 
 /// How 96 samples are shared between the whole ray and the part where the light ends.
-pub(super) fn importance(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
+pub(super) fn importance(setup: &Setup<'_>) -> Result<Findings, TradeoffError> {
     let field = trained(setup)?;
     let size = setup.either(48, 256);
     let truth = slow_heights(&field, size);
@@ -182,7 +182,7 @@ pub(super) fn importance(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
 }
 
 /// How many pixels a DSM has.
-pub(super) fn size(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
+pub(super) fn size(setup: &Setup<'_>) -> Result<Findings, TradeoffError> {
     const FINE: usize = 1024;
     let (city, field) = boxes()?;
     let scale = exact_scale(field.scale());

@@ -85,7 +85,7 @@ pub struct Setting {
     pub pareto: bool,
 }
 
-/// A position of a switch that this machine or build does not have.
+/// What was not measured: a position of a switch that this machine, build or model does not have.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Skipped {
     /// Its name.
@@ -159,6 +159,11 @@ pub struct Report {
     pub plan: Plan,
     /// The switches.
     pub switches: Vec<Switch>,
+    /// Switches of the plan that could not be measured, as `stage/switch`.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub failed: Vec<Skipped>,
+    /// Whether the run was interrupted: the plan has more switches on than were measured.
+    pub interrupted: bool,
     /// Seconds of the whole run.
     pub seconds: f64,
 }

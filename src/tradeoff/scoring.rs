@@ -1,18 +1,19 @@
 //! Evaluation: alignment protocols, vertical offsets, resizing, bootstrap.
 
-use super::clock::{Judged, Subject, Way};
+use super::clock::{Findings, Judged, Subject, Way};
 use super::report::Quantity;
 use super::truth::{Place, SIDE, ZOOM, heights, quantile, rms};
-use super::{Setup, Switch, TradeoffError};
+use super::{Setup, TradeoffError};
 use crate::eval::align::{AlignSettings, Aligner, Shift};
 use crate::eval::metrics::{
     BootstrapSettings, ErrorSums, ImageSample, PUBLISHED_THRESHOLDS_M, Quantiles, Sketch,
     intervals, lone_block,
 };
-use crate::eval::{OffsetMethod, Protocol, Resize, Surface, resize};
+use crate::eval::{EvalOptions, OffsetMethod, Protocol, Resize, Surface, resize};
 use crate::random::{Draw, key, normal, unit};
 use crate::scene::Scene;
 use crate::scene::pixels::PixelPositions;
+use std::path::PathBuf;
 
 pub(super) const PROTOCOL: &str = "a prediction has an arbitrary zero and may be shifted";
 pub(super) const OFFSET: &str = "a prediction has an arbitrary zero and gross errors";
@@ -31,6 +32,11 @@ const ZERO_M: f64 = 7.3;
 const SHIFT: [f64; 2] = [3.4, -2.2];
 /// Gross errors: their share, and how much too high they are, metres.
 const GROSS: (f64, f64) = (0.15, 8.0);
+
+/// What an evaluation does unless told otherwise.
+fn defaults() -> EvalOptions {
+    EvalOptions::new(Vec::new(), PathBuf::new())
+}
 
 /// A truth and a made-up prediction of the same ground.
 struct Pair {
@@ -80,7 +86,7 @@ fn align_settings(protocol: Protocol, offset: OffsetMethod) -> AlignSettings {
 }
 
 /// What is aligned before a prediction is scored.
-pub(super) fn protocol(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
+pub(super) fn protocol(setup: &Setup<'_>) -> Result<Findings, TradeoffError> {
     let place = Place::new()?;
     let noisy = |height: f64, lot: u64| height - ZERO_M + NOISE_M * normal(lot);
     let pairs = pairs(&place, setup.either(3, 8), SHIFT, noisy);
@@ -88,11 +94,7 @@ pub(super) fn protocol(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
     let ways = Protocol::ALL
         .into_iter()
         .map(|protocol| {
-            let method = match protocol {
-                Protocol::Paper => OffsetMethod::Ransac,
-                _ => OffsetMethod::Median,
-            };
-            let settings = align_settings(protocol, method);
+            let settings = align_settings(protocol, defaults().offset_for(protocol));
             let mut aligner = Aligner::new();
             Way::new(protocol.name(), protocol == Protocol::default(), move || {
                 let mut found = Vec::with_capacity(pairs.len());
@@ -124,7 +126,7 @@ pub(super) fn protocol(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
 }
 
 /// How the vertical offset is found.
-pub(super) fn offset(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
+pub(super) fn offset(setup: &Setup<'_>) -> Result<Findings, TradeoffError> {
     let place = Place::new()?;
     let (share, rise) = GROSS;
     let grown = |height: f64, lot: u64| {
@@ -133,6 +135,7 @@ pub(super) fn offset(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
     };
     let pairs = pairs(&place, setup.either(3, 8), [0.0; 2], grown);
     let pairs = &pairs;
+    let usual = defaults().offset_for(Protocol::default());
     let methods = [
         ("ransac", OffsetMethod::Ransac),
         ("median", OffsetMethod::Median),
@@ -143,8 +146,7 @@ pub(super) fn offset(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
         .map(|(name, method)| {
             let settings = align_settings(Protocol::Vertical, method);
             let mut aligner = Aligner::new();
-            // The published protocol, which is the default, has RANSAC.
-            Way::new(name, method == OffsetMethod::Ransac, move || {
+            Way::new(name, method == usual, move || {
                 let mut offsets = Vec::with_capacity(pairs.len());
                 for Pair { truth, prediction } in pairs {
                     offsets.push(aligner.align(prediction, truth, &settings)?.vertical_offset_m);
@@ -167,7 +169,7 @@ pub(super) fn offset(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
 }
 
 /// How a truth is brought to a prediction's pixels.
-pub(super) fn resizing(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
+pub(super) fn resizing(setup: &Setup<'_>) -> Result<Findings, TradeoffError> {
     let place = Place::new()?;
     let side = SIDE as usize;
     let fine = Surface::new(side, side, place.heights(&place.image(ZOOM, SIDE)?)?);
@@ -242,12 +244,12 @@ fn half_width(images: &[ImageSample], exact: &Quantiles, replicates: u32, seed: 
 }
 
 /// How many replicates give an interval.
-pub(super) fn bootstrap(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
+pub(super) fn bootstrap(setup: &Setup<'_>) -> Result<Findings, TradeoffError> {
     let (images, exact) = scored_images(SCORED);
     let (images, exact) = (&images, &exact);
     let truth = half_width(images, exact, setup.either(20_000, 200_000), 99);
     let seeds = setup.either(8, 30);
-    let default = crate::eval::EvalOptions::new(Vec::new(), "".into()).replicates;
+    let default = defaults().replicates;
     let counts: &[u32] =
         if setup.quick { &[100, 500, 2000] } else { &[100, 250, 500, 1000, 2000, 5000, 10_000] };
     let ways = counts

@@ -4,11 +4,11 @@
 //! The march is the stable rule with 96 equal cells, taken in blocks of 16 over a row of pixels at once, so
 //! that rays that have ended cost nothing.
 
-use super::clock::{Judged, Subject, Way};
+use super::clock::{Findings, Judged, Subject, Way};
 use super::rays::{centres, slow_heights, trained};
 use super::report::Quantity;
 use super::truth::{quantile, rms};
-use super::{Setup, Switch, TradeoffError};
+use super::{Setup, TradeoffError};
 use crate::footprint::TRAINING_WIDTH_M;
 use crate::model::field::Field;
 use crate::model::render::exact_scale;
@@ -74,7 +74,7 @@ fn march(field: &Field, size: usize, least: f64) -> Marched {
 }
 
 /// At which transmittance a ray ends.
-pub(super) fn early_stop(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
+pub(super) fn early_stop(setup: &Setup<'_>) -> Result<Findings, TradeoffError> {
     let field = trained(setup)?;
     let size = setup.either(48, 256);
     let truth = slow_heights(&field, size);

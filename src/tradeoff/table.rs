@@ -103,6 +103,12 @@ pub fn table(report: &Report) -> String {
         machine.processors,
         machine.vectors,
     );
+    for failed in &report.failed {
+        let _ = writeln!(text, "could not be measured: {}: {}", failed.name, failed.reason);
+    }
+    if report.interrupted {
+        text += "interrupted: the other switches of the plan were not measured\n";
+    }
     if machine.debug {
         text += "this program was built without optimisation: its times are no guide\n";
     }

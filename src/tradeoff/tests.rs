@@ -37,6 +37,8 @@ fn report(switches: Vec<Switch>) -> Report {
         plan_sha256: plan.hash(),
         plan,
         switches,
+        failed: Vec::new(),
+        interrupted: false,
         seconds: 1.0,
     }
 }
@@ -152,4 +154,25 @@ fn text_and_page_hold_every_setting_and_nothing_unescaped() {
     let lines = String::from_utf8(csv(&found).expect("memory")).expect("text");
     assert_eq!(lines.lines().count(), 3);
     assert!(lines.contains("build,transform,some,false,true,0.00000025"), "{lines}");
+}
+
+#[test]
+fn a_setting_that_refuses_is_listed_and_anything_else_ends_the_measurement() {
+    let stop = Interrupt::default();
+    let measure = |default: bool, error: fn() -> TradeoffError| {
+        let ways = vec![
+            Way::new("works", !default, || Ok(1.0)),
+            Way::new("does not", default, move || Err(error())),
+        ];
+        let subject =
+            Subject { truth: "", error: Quantity::new("", ""), work: String::new(), units: 1.0 };
+        Clock::new(3, true, &stop).measure(subject, ways, |&error: &f64| Ok(Judged::new(error)))
+    };
+    let refusal = || TradeoffError::Tile(TileError::Input("too wide".into()));
+    let found = measure(false, refusal).expect("the other one works");
+    assert_eq!(found.settings.len(), 1);
+    let reason = "too wide".to_owned();
+    assert_eq!(found.skipped, [Skipped { name: "does not".into(), reason }]);
+    assert!(measure(true, refusal).is_err(), "what the program does by default has to work");
+    assert!(measure(false, || TradeoffError::Input("broken".into())).is_err());
 }

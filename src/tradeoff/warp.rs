@@ -1,9 +1,9 @@
 //! Benchmark build, one image in memory: transforms and kernels.
 
-use super::clock::{Judged, Subject, Way};
+use super::clock::{Findings, Judged, Subject, Way};
 use super::report::Quantity;
 use super::truth::{FOOT_M, Place, SIDE, ZOOM, block_means, quantile, rms};
-use super::{Setup, Switch, TradeoffError};
+use super::{Setup, TradeoffError};
 use crate::grid::{ImageGrid, PixelPoint};
 use crate::lidar::{EdgeRule, PixelMap, PixelToCrs, Resampling, TransformForm, WarpSettings, warp};
 
@@ -52,11 +52,13 @@ struct Transformed {
 }
 
 /// How pixels are taken to the tiles' CRS.
-pub(super) fn transform(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
+pub(super) fn transform(setup: &Setup<'_>) -> Result<Findings, TradeoffError> {
     let place = Place::new()?;
     let grid = place.image(ZOOM, SIDE)?;
     let (reference, truth) =
         warped(&place, exact(&place, grid), TransformForm::Exact, Resampling::Bilinear)?;
+    // What `auto` takes here within the tolerance.
+    let usual = reference.errors().cheapest(super::bench::defaults().tolerance_m / FOOT_M);
     let forms = [
         ("exact", TransformForm::Exact),
         ("chebyshev", TransformForm::Chebyshev),
@@ -67,8 +69,7 @@ pub(super) fn transform(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
     let mut ways: Vec<Way<'_, Transformed>> = forms
         .into_iter()
         .map(|(name, form)| {
-            // What the default, `auto`, takes at the default tolerance of 1e-6 m.
-            Way::new(name, form == TransformForm::Chebyshev, move || {
+            Way::new(name, form == usual, move || {
                 let pixels = exact(place, grid);
                 let (map, heights) = warped(place, pixels, form, Resampling::Bilinear)?;
                 Ok(Transformed { form: Some(form), map, heights })
@@ -104,7 +105,7 @@ pub(super) fn transform(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
 }
 
 /// How heights are interpolated where the image is finer than the tiles.
-pub(super) fn resampling(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
+pub(super) fn resampling(setup: &Setup<'_>) -> Result<Findings, TradeoffError> {
     let place = Place::new()?;
     let truth = place.heights(&place.image(ZOOM, SIDE)?)?;
     let what = "true heights of a simulated city at the pixel centres; no noise in the lidar";
@@ -112,7 +113,7 @@ pub(super) fn resampling(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
 }
 
 /// The same where it is coarser.
-pub(super) fn resampling_coarse(setup: &Setup<'_>) -> Result<Switch, TradeoffError> {
+pub(super) fn resampling_coarse(setup: &Setup<'_>) -> Result<Findings, TradeoffError> {
     let place = Place::new()?;
     let (zoom, side) = COARSE_IMAGE;
     let truth = place.means(zoom, side, setup.either(4, 16))?;
@@ -126,14 +127,15 @@ fn kernels(
     (zoom, side): (u8, u32),
     what: &'static str,
     truth: &[f32],
-) -> Result<Switch, TradeoffError> {
+) -> Result<Findings, TradeoffError> {
     let grid = place.image(zoom, side)?;
     let fine = place.image(zoom + PARTS.trailing_zeros() as u8, side * PARTS)?;
     let kinds = [Resampling::Nearest, Resampling::Bilinear, Resampling::Cubic, Resampling::Average];
+    let usual = super::bench::defaults().resampling;
     let mut ways: Vec<Way<'_, Vec<f32>>> = kinds
         .into_iter()
         .map(|kind| {
-            Way::new(kind.name(), kind == Resampling::Bilinear, move || {
+            Way::new(kind.name(), kind == usual, move || {
                 let pixels = exact(place, grid);
                 Ok(warped(place, pixels, TransformForm::Chebyshev, kind)?.1)
             })

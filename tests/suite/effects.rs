@@ -116,9 +116,8 @@ fn what_is_left_out_changes_no_more_than_the_plan_states() {
 
 #[test]
 fn what_is_called_for_is_seen_in_the_result() {
-    // The others move edges by centimetres, or (shadows of hills) are looked for where a bound on the slopes allows
-    // them, and none is found.
-    let fine = [Effect::GridScale, Effect::Curvature, Effect::TerrainShadows];
+    // The others move edges by centimetres.
+    let fine = [Effect::GridScale, Effect::Curvature];
     for name in SCENES {
         let plain = scene(name, &Options::default());
         let whole = Sample::of(&plain);

@@ -28,6 +28,7 @@ mod model_command;
 mod model_fetch;
 mod model_score;
 mod picture;
+mod picture_place;
 mod plans;
 mod raster_bad_input;
 mod raster_pure;

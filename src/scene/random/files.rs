@@ -22,6 +22,8 @@ use std::path::{Path, PathBuf};
 const ZOOM: u8 = 20;
 /// Side of VIGOR's satellite images, pixels of that zoom: what an image here covers, whatever its own size.
 const VIGOR_PIXELS: u32 = 640;
+/// EPSG:3857 as WKT 1, which GDAL's side files hold.
+const PSEUDO_MERCATOR: &str = r#"PROJCS["WGS 84 / Pseudo-Mercator",GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563,AUTHORITY["EPSG","7030"]],AUTHORITY["EPSG","6326"]],PRIMEM["Greenwich",0,AUTHORITY["EPSG","8901"]],UNIT["degree",0.0174532925199433,AUTHORITY["EPSG","9122"]],AUTHORITY["EPSG","4326"]],PROJECTION["Mercator_1SP"],PARAMETER["central_meridian",0],PARAMETER["scale_factor",1],PARAMETER["false_easting",0],PARAMETER["false_northing",0],UNIT["metre",1,AUTHORITY["EPSG","9001"]],AXIS["Easting",EAST],AXIS["Northing",NORTH],EXTENSION["PROJ4","+proj=merc +a=6378137 +b=6378137 +lat_ts=0 +lon_0=0 +x_0=0 +y_0=0 +k=1 +units=m +nadgrids=@null +wktext +no_defs"],AUTHORITY["EPSG","3857"]]"#;
 /// Columns of a panorama.
 pub const PANORAMA_WIDTH: usize = 512;
 /// Quality of the panoramas' JPEG files.
@@ -78,6 +80,19 @@ struct ScenesFile<'a> {
     size_pixels: u32,
     metres_per_side: f64,
     scenes: &'a [SceneRow],
+}
+
+/// What GDAL keeps beside a PNG. The name of an image places its middle, and every reader of VIGOR takes a pixel of it
+/// for one of zoom 20; an image of another size, whose pixels are `factor` times as large, has to say so.
+fn side_file(grid: &ImageGrid, factor: f64) -> String {
+    let [x, width, row_x, y, column_y, height] = grid.geotransform().0;
+    let numbers = [x, width * factor, row_x, y, column_y, height * factor];
+    let numbers: Vec<String> = numbers.iter().map(|number| format!("{number:?}")).collect();
+    let crs = PSEUDO_MERCATOR.replace('"', "&quot;");
+    format!(
+        "<PAMDataset>\n  <SRS>{crs}</SRS>\n  <GeoTransform>{}</GeoTransform>\n</PAMDataset>\n",
+        numbers.join(", ")
+    )
 }
 
 struct Folders {
@@ -169,6 +184,12 @@ impl RandomScenes {
         let path = to.satellite.join(format!("{stem}.png"));
         let rgb = scene.render(&pixels, key(&[scene.spec.seed, purpose::SENSOR]));
         write(&path, &picture::encode(&rgb, size, ImageColours::Rgb, &path)?)?;
+        if size != VIGOR_PIXELS {
+            write(
+                &to.satellite.join(format!("{stem}.png.aux.xml")),
+                side_file(&grid, factor).as_bytes(),
+            )?;
+        }
         write(&to.truth.join(format!("{stem}_dsm.npz")), &truth(&scene, &pixels))?;
         let panorama = self.write_panorama(index, &scene, &grid, metres, to)?;
         Ok(SceneRow {
@@ -412,7 +433,8 @@ mod tests {
         assert!(summary.panoramas >= 7, "{summary:?}");
         assert_eq!(summary.kinds.values().sum::<usize>(), 9);
         let count = |folder: &str| a.keys().filter(|p| p.starts_with(folder)).count();
-        assert_eq!(count("vigor/Seattle/satellite"), 9);
+        // A picture and where it lies, since its pixels are not VIGOR's.
+        assert_eq!(count("vigor/Seattle/satellite"), 2 * 9);
         assert_eq!(count("truth"), 9);
         assert_eq!(count("vigor/Seattle/panorama"), summary.panoramas);
         assert_eq!(count("vigor/Seattle/pano_sky_mask"), summary.panoramas);
@@ -444,6 +466,18 @@ mod tests {
             let grid = ImageGrid::new(place(&spec), 20, 640, 640).expect("a grid");
             let metres = 640.0 * grid.ground_sample_distance();
             let scene = scenes.scene(index, metres).expect("a scene");
+            let picture = folder.path().join("vigor/Seattle/satellite");
+            let picture = picture.join(format!("{}.png", stem(place(&spec))));
+            let picture = crate::picture::open(&picture).expect("a picture");
+            let footprint = picture.footprint(None).expect("a place");
+            for side in footprint.gsd_m {
+                assert!((side * 48.0 / metres - 1.0).abs() < 1e-9, "{side}");
+            }
+            assert!(picture.warnings().is_empty(), "{:?}", picture.warnings());
+            let middle = footprint.georeference().expect("one").expect("one");
+            let middle = middle.center().expect("a place");
+            assert!((middle.lat_deg - place(&spec).lat_deg).abs() < 1e-9);
+            assert!((middle.lon_deg - place(&spec).lon_deg).abs() < 1e-9);
             for (row, column) in [(0, 0), (47, 3), (20, 31)] {
                 let p = PixelPoint {
                     x: (f64::from(column) + 0.5) * 640.0 / 48.0,
