@@ -1,4 +1,5 @@
-//! Where a picture lies: its name first, then what the file or the files beside it say.
+//! Where a picture lies: its name first, then what the file or the files beside it say, which also know the size of
+//! pixels that are not VIGOR's.
 
 use super::PictureError;
 use crate::crs::CrsSpec;

@@ -173,6 +173,9 @@ impl std::fmt::Debug for Picture {
     }
 }
 
+/// Pixels of a name and of a georeference are the same within this share: a name's are of the sphere, up to 0.7 % off.
+const SAME_GSD: f64 = 0.01;
+
 /// Opens a picture and reads its header; no pixels are read.
 ///
 /// # Errors
@@ -207,15 +210,16 @@ pub fn open_with(path: &Path, options: &PictureOptions) -> Result<Picture, Pictu
         path: path.to_owned(),
         options: *options,
         size,
-        place: named.clone().or_else(|| place.clone()),
+        place: None,
         warnings,
         format,
         access,
         source,
     };
-    if let (Some(named), Some(own)) = (named, place) {
-        picture.compare(named, own);
-    }
+    picture.place = match (named, place) {
+        (Some(named), Some(own)) => Some(picture.which_place(named, own)),
+        (named, own) => named.or(own),
+    };
     Ok(picture)
 }
 
@@ -295,19 +299,25 @@ impl Picture {
         }
     }
 
-    /// Warns where the name and the file do not agree on the place.
-    fn compare(&mut self, named: Place, own: Place) {
-        let center =
-            |place| Footprint::of_place(self.size, place).ok()?.georeference().ok()??.center().ok();
-        let apart = match (center(named), center(own)) {
-            (Some(a), Some(b)) => crate::crs::ground_distance_m(a, b),
-            _ => return,
+    /// The name's place, with a warning where the file disagrees; the file's own where both have the same centre and
+    /// pixels of another size: of pixels the name says nothing, and zoom 20 is only what VIGOR's have.
+    fn which_place(&mut self, named: Place, own: Place) -> Place {
+        let known = |place: &Place| {
+            let footprint = Footprint::of_place(self.size, place.clone()).ok()?;
+            Some((footprint.georeference().ok()??.center().ok()?, footprint.gsd_m))
         };
+        let (Some((a, named_gsd)), Some((b, own_gsd))) = (known(&named), known(&own)) else {
+            return named;
+        };
+        let apart = crate::crs::ground_distance_m(a, b);
         if apart > 1.0 {
             self.warnings.push(format!(
                 "the name and the file's georeference put the picture's centre {apart:.1} m apart; the name counts"
             ));
+            return named;
         }
+        let other = |k: usize| (own_gsd[k] / named_gsd[k] - 1.0).abs() > SAME_GSD;
+        if other(0) || other(1) { own } else { named }
     }
 
     /// Reads the whole picture, RGB.

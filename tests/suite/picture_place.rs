@@ -39,6 +39,44 @@ fn a_name_places_a_picture_and_a_bad_one_is_said() {
 }
 
 #[test]
+fn a_name_states_the_centre_and_a_side_file_the_size_of_other_pixels() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("satellite_47.6_-122.33.png");
+    write_png(&path, &noise(64, 64, 3, 1));
+    let vigor = ImageGrid::new(seattle(), 20, 640, 640).unwrap();
+    let side_file = |metres_aside: f64, factor: f64| {
+        let GeoTransform([x, width, _, y, _, height]) = vigor.geotransform();
+        // Around the same centre, whatever the pixels.
+        let west = x + 320.0 * width - 32.0 * factor * width + metres_aside;
+        let north = y + 320.0 * height - 32.0 * factor * height;
+        let (width, height) = (width * factor, height * factor);
+        std::fs::write(
+            folder.path().join("satellite_47.6_-122.33.pgw"),
+            format!("{width}\n0\n0\n{height}\n{}\n{}\n", west + width / 2.0, north + height / 2.0),
+        )
+        .unwrap();
+        let picture = open(&path).unwrap();
+        let warnings = picture.warnings().join("; ");
+        (picture.footprint(None).unwrap(), warnings)
+    };
+    let wkt = "PROJCS[\"WGS 84 / Pseudo-Mercator\",GEOGCS[\"WGS 84\",DATUM[\"WGS_1984\",SPHEROID[\"WGS 84\",6378137,298.257223563]],PRIMEM[\"Greenwich\",0],UNIT[\"degree\",0.0174532925199433]],PROJECTION[\"Mercator_1SP\"],PARAMETER[\"central_meridian\",0],PARAMETER[\"scale_factor\",1],PARAMETER[\"false_easting\",0],PARAMETER[\"false_northing\",0],UNIT[\"metre\",1],AUTHORITY[\"EPSG\",\"3857\"]]";
+    std::fs::write(folder.path().join("satellite_47.6_-122.33.prj"), wkt).unwrap();
+    let of_name = Footprint::of_grid(ImageGrid::new(seattle(), 20, 64, 64).unwrap());
+    // 64 pixels of an image that was 640: ten times as large.
+    let (resized, warnings) = side_file(0.0, 10.0);
+    assert!((resized.gsd_m[0] / of_name.gsd_m[0] - 10.0).abs() < 1e-6, "{resized:?}");
+    assert!(
+        matches!(resized.place, Some(Place::Raster { .. })) && warnings.is_empty(),
+        "{warnings}"
+    );
+    let (same, warnings) = side_file(0.0, 1.0);
+    assert_eq!((same, warnings.as_str()), (of_name.clone(), ""));
+    let (elsewhere, warnings) = side_file(50.0, 10.0);
+    assert_eq!(elsewhere, of_name);
+    assert!(warnings.contains("m apart; the name counts"), "{warnings}");
+}
+
+#[test]
 fn side_files_place_a_picture() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.png");

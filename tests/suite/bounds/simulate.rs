@@ -12,7 +12,8 @@ use sat3d::scene::object::Epoch;
 use sat3d::scene::pixels::PixelPositions;
 use sat3d::scene::solid::Ray;
 use sat3d::scene::spec::{
-    CameraSpec, ChangeSpec, ImageColours, PictureSpec, Sampling, Season, SunSpec, ViewSpec,
+    CameraSpec, ChangeSpec, ImageColours, PictureSpec, Sampling, Season, Side, SunSpec, ViewSpec,
+    WaterSpec,
 };
 use sat3d::scene::{Effect, Options, Scene, SceneSpec};
 use sat3d::units::{Metres, US_SURVEY_FOOT_M};
@@ -262,6 +263,32 @@ pub fn hills_shade_within_their_bound_and_as_a_fine_search_says() {
     }
     assert!(dark > 50, "{dark}");
     [left_out, simulated].iter().for_each(Share::check);
+}
+
+#[test]
+fn no_hill_shades_where_the_plan_finds_none_steep_enough() {
+    let (mut off, mut shaded) = (0, [0, 0]);
+    for seed in 0..60 {
+        let mut draw = draw(900 + seed);
+        let mut spec = spec(seed);
+        spec.terrain.wavelength_metres = draw.range(90.0, 200.0);
+        let side = draw.pick([Side::North, Side::East, Side::South, Side::West]);
+        spec.water = (seed % 2 == 0).then(|| WaterSpec { side, ..WaterSpec::default() });
+        let azimuth_degrees = draw.range(0.0, 360.0);
+        spec.sun = Some(SunSpec { azimuth_degrees, elevation_degrees: draw.range(4.0, 40.0) });
+        let plan = scene(&spec, &Options::default()).plan;
+        let on = plan.step(Effect::TerrainShadows.id()).expect("a step").on;
+        let scene = scene(&spec, &everything());
+        let sun = scene.sun().unwrap();
+        off += usize::from(!on);
+        for _ in 0..300 {
+            let (x, y) = (draw.range(-40.0, 40.0), draw.range(-35.0, 35.0));
+            let from = [x, y, scene.ground(x, y)];
+            shaded[usize::from(on)] += usize::from(scene.terrain_shadowed(from, &sun));
+        }
+    }
+    assert!(off > 15 && off < 50 && shaded[1] > 300, "{off} {shaded:?}");
+    assert_eq!(shaded[0], 0, "of {off} scenes");
 }
 
 /// Cells of the survey, both layers.
