@@ -1,7 +1,7 @@
 //! `sat3d infer`: DSMs, meshes and views from satellite images by the network, one image or a city.
 
 use crate::batch_args::{BatchArgs, parse_gsd};
-use crate::compute::ComputeArgs;
+use crate::compute::{ComputeArgs, PackedArgs, warn_of};
 use crate::console;
 use crate::mesh_args::MeshArgs;
 use crate::view_args::ViewArgs;
@@ -62,6 +62,8 @@ struct InferArgs {
     root: Option<PathBuf>,
     #[command(flatten)]
     compute: ComputeArgs,
+    #[command(flatten)]
+    packed: PackedArgs,
     /// Leave out <stem>.npz
     #[arg(long)]
     no_dsm: bool,
@@ -157,6 +159,7 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
         return explain(&prepared, args.batch.json);
     }
     let summary = prepared.run(&Interrupt::on_signals())?;
+    warn_of(prepared.packed());
     report(&summary, &args.out, !args.no_dsm, args.batch.json)?;
     Ok(summary.exit_code())
 }
@@ -167,6 +170,7 @@ impl InferArgs {
         let mut options = InferOptions::new(input, self.weights.clone(), self.out.clone());
         options.root = self.root.clone();
         options.compute = self.compute.wanted();
+        options.packed_weights = self.packed.packed_weights.clone();
         options.size = self.dsm_size;
         options.render.sampling = match self.sampling {
             SamplingArg::Reference => Sampling::Reference,

@@ -1,7 +1,7 @@
 //! `sat3d tile`: a city from one big picture.
 
 use crate::batch_args::{BatchArgs, parse_gsd};
-use crate::compute::ComputeArgs;
+use crate::compute::{ComputeArgs, PackedArgs, warn_of};
 use crate::console;
 use clap::{Subcommand, ValueEnum};
 use sat3d::batch::{ExitCode, Interrupt};
@@ -59,6 +59,8 @@ struct TileArgs {
     out: PathBuf,
     #[command(flatten)]
     compute: ComputeArgs,
+    #[command(flatten)]
+    packed: PackedArgs,
     /// Memory for the sums of open lines, MiB; what does not fit is kept in a file
     #[arg(long, default_value_t = 4096, value_name = "MIB", value_parser = clap::value_parser!(u64).range(1..=1_048_576))]
     memory: u64,
@@ -250,6 +252,7 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
         return Ok(ExitCode::Success);
     }
     let summary = prepared.run(&Interrupt::on_signals())?;
+    warn_of(prepared.packed());
     report(&summary, &args.out, args.batch.json)?;
     Ok(summary.exit_code())
 }
@@ -259,6 +262,7 @@ impl TileArgs {
         let Some(input) = self.input.clone() else { anyhow::bail!("give a PICTURE") };
         let mut options = TileOptions::new(input, self.weights.clone(), self.out.clone());
         options.compute = self.compute.wanted();
+        options.packed_weights = self.packed.packed_weights.clone();
         options.windows = WindowOptions {
             stride: self.windows.stride,
             trim: self.windows.trim,

@@ -75,6 +75,12 @@ mod tests {
     use crate::units::LinearUnit::{Foot, Metre, UsSurveyFoot};
 
     #[test]
+    fn only_codes_of_the_table_are_known() {
+        assert!([5703, 6360, 8228].into_iter().all(is_known));
+        assert!(![0, 4326, 32610, u32::MAX].into_iter().any(is_known));
+    }
+
+    #[test]
     fn every_line_of_the_table_is_understood() {
         assert_eq!(KNOWN.len(), rows().count());
         assert!(KNOWN.len() > 220);

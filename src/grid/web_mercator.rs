@@ -237,6 +237,7 @@ mod tests {
     #[test]
     fn centre_of_the_image_is_the_centre_of_its_name() {
         let grid = seattle();
+        assert_eq!((grid.zoom(), grid.width(), grid.height()), (20, 640, 640));
         let at = grid.lonlat(PixelPoint { x: 320.0, y: 320.0 });
         assert!((at.lon_deg - grid.center().lon_deg).abs() < 1e-13);
         assert!((at.lat_deg - grid.center().lat_deg).abs() < 1e-13);

@@ -174,6 +174,8 @@ pub struct InferOptions {
     pub weights: Option<PathBuf>,
     /// Where, by what and how exactly the network is calculated.
     pub compute: Wanted,
+    /// Folder below which the large network's weights are kept as an engine packs them.
+    pub packed_weights: Option<PathBuf>,
     /// Output folder.
     pub out: PathBuf,
     /// What is made of each image.
@@ -211,6 +213,7 @@ impl InferOptions {
             root: None,
             weights,
             compute: Wanted::default(),
+            packed_weights: None,
             out,
             outputs: Outputs::default(),
             size: 256,

@@ -14,6 +14,7 @@ use crate::batch::{
 use crate::footprint::TRAINING_WIDTH_M;
 use crate::illumination::Illumination;
 use crate::model::render::SampleCounts;
+use crate::model::weights::PackedWeights;
 use crate::model::{Checkpoint, Config, Model};
 use crate::picture;
 use crate::plan::Plan;
@@ -144,7 +145,9 @@ pub fn prepare(mut options: InferOptions) -> Result<Prepared, InferError> {
     let pictures = pictures > 0;
     let mut warnings = Vec::new();
     let weights = find_weights(&options, pictures, &mut warnings)?;
-    let checkpoint = weights.as_ref().map(Weights::open).transpose()?;
+    let checkpoint =
+        weights.as_ref().map(|weights| weights.open_keeping(options.packed_weights.as_deref()));
+    let checkpoint = checkpoint.transpose()?;
     let identity = checkpoint.as_ref().map(Identity::of);
     let model = checkpoint
         .as_ref()
@@ -295,6 +298,12 @@ fn ground_warnings(options: &InferOptions, entries: &[Entry]) -> Vec<String> {
 }
 
 impl Prepared {
+    /// Where packed weights are kept.
+    #[must_use]
+    pub fn packed(&self) -> Option<&PackedWeights> {
+        self.checkpoint.as_ref()?.packed()
+    }
+
     /// The images, in the order of work.
     #[must_use]
     pub fn entries(&self) -> &[Entry] {

@@ -201,6 +201,22 @@ mod tests {
     }
 
     #[test]
+    fn the_bound_of_a_window_is_that_of_its_phase_and_of_floats_at_its_far_corner() {
+        let grid = GeoTransform::north_up(10.25, -3.125, 0.5, 4.0);
+        let (lattice, ..) = Lattice::of(&grid, 24).expect("north-up");
+        let phase = libm::hypot(0.5, 4.0) / f64::from(1 << 25);
+        assert!((lattice.phase_bound() / phase - 1.0).abs() < 1e-12);
+        for (col, row, far) in
+            [(-700, 30, [-700.0, 90.0]), (2_000_000_000, -9, [2_000_000_040.0, 51.0])]
+        {
+            let window = LatticeWindow { col, row, width: 40, height: 60 };
+            let expected = phase + 1.5 * f64::EPSILON * libm::hypot(far[0] * 0.5, far[1] * 4.0);
+            let bound = lattice.bound(window);
+            assert!((bound / expected - 1.0).abs() < 1e-12, "{bound} for {expected}");
+        }
+    }
+
+    #[test]
     fn rotated_and_south_up_rasters_have_no_lattice() {
         assert!(Lattice::of(&GeoTransform([0.0, 1.0, 0.1, 0.0, 0.0, -1.0]), PHASE_BITS).is_none());
         assert!(Lattice::of(&GeoTransform([0.0, 1.0, 0.0, 0.0, 0.0, 1.0]), PHASE_BITS).is_none());

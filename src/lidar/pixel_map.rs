@@ -484,6 +484,29 @@ mod tests {
     }
 
     #[test]
+    fn bounds_are_metres_whatever_the_shape_of_the_cells() {
+        let grid =
+            ImageGrid::new(LonLat { lon_deg: -2.3, lat_deg: 47.6 }, 13, 640, 640).expect("grid");
+        let exact = PixelToCrs::WebMercator { grid, projection: Arc::new(Curved) };
+        let errors = [(1.0, 1.0), (0.25, 8.0), (30.0, 0.5)].map(|(width, height)| {
+            let cells = GeoTransform::north_up(-1_000.3, 5_000.7, width, height);
+            let (lattice, ..) = Lattice::of(&cells, 30).expect("lattice");
+            let map = PixelMap::fit(exact.clone(), lattice, TransformForm::Chebyshev);
+            map.expect("fits").errors()
+        });
+        for other in &errors[1..] {
+            for (a, b) in [
+                (errors[0].chebyshev, other.chebyshev),
+                (errors[0].separable, other.separable),
+                (errors[0].affine, other.affine),
+            ] {
+                assert!((a / b - 1.0).abs() < 1e-3, "{a} {b}");
+            }
+        }
+        assert!(errors[0].chebyshev > 1e-7, "more than rounding: {:?}", errors[0]);
+    }
+
+    #[test]
     fn rows_and_single_points_agree() {
         for form in [TransformForm::Chebyshev, TransformForm::Exact, TransformForm::Affine] {
             let map = map(form, 18);

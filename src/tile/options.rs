@@ -118,6 +118,8 @@ pub struct TileOptions {
     pub weights: Option<PathBuf>,
     /// Where, by what and how exactly the network is calculated.
     pub compute: Wanted,
+    /// Folder below which the large network's weights are kept as an engine packs them.
+    pub packed_weights: Option<PathBuf>,
     /// Output folder.
     pub out: PathBuf,
     /// What is written; heights and mesh where nothing is asked for.
@@ -158,6 +160,7 @@ impl TileOptions {
             input,
             weights,
             compute: Wanted::default(),
+            packed_weights: None,
             out,
             outputs: TileOutputs::default(),
             windows: WindowOptions::default(),

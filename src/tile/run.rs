@@ -23,8 +23,10 @@ use crate::batch::{
     ExitCode, FolderLock, Header, Interrupt, Journal, Journals, Progress, Status, Verify,
     fingerprint, join,
 };
-use crate::model::{Checkpoint, Model};
+use crate::model::weights::PackedWeights;
+use crate::model::{Checkpoint, Config, Model};
 use crate::picture::{self, Picture, ResampledPicture};
+use crate::plan::network::at_scale;
 use crate::plan::{Plan, runs};
 use crate::weights::{self, Identity, Origin};
 use serde::Serialize;
@@ -110,11 +112,12 @@ pub fn prepare(mut options: TileOptions) -> Result<Prepared, TileError> {
     check_names(&options)?;
     let found = weights::find(options.weights.as_deref())?;
     warnings.extend(found.note());
-    let checkpoint = found.open()?;
+    let checkpoint = found.open_keeping(options.packed_weights.as_deref())?;
     let identity = Identity::of(&checkpoint);
-    let execution = options.compute.choose(checkpoint.config())?;
+    let job = job(&options, &ground, checkpoint.config(), &identity)?;
+    // The tolerance is of heights: what a precision may cost is stated per cube unit.
+    let execution = at_scale(&options.compute, job.city.vertical_m).choose(checkpoint.config())?;
     let model = Model::of_checkpoint(&checkpoint, &execution)?;
-    let job = job(&options, &ground, &model, &identity)?;
     let windows = job.axis_windows()?;
     let city = &job.city;
     check_place(city, &options.outputs)?;
@@ -155,10 +158,10 @@ pub fn prepare(mut options: TileOptions) -> Result<Prepared, TileError> {
 fn job(
     options: &TileOptions,
     ground: &ModelGround,
-    model: &Model,
+    config: &Config,
     identity: &Identity,
 ) -> Result<Job, TileError> {
-    let scale = model.config.scale;
+    let scale = config.scale;
     runs("scale");
     let levels = options.lattice.levels(scale).map_err(TileError::Input)?;
     let [columns, rows] = ground.size;
@@ -248,6 +251,12 @@ fn stem_of(path: &Path) -> String {
 }
 
 impl Prepared {
+    /// Where packed weights are kept.
+    #[must_use]
+    pub fn packed(&self) -> Option<&PackedWeights> {
+        self.checkpoint.packed()
+    }
+
     fn description(&self) -> serde_json::Value {
         json!({
             "software": format!("sat3d {}", env!("CARGO_PKG_VERSION")),

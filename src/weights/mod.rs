@@ -69,6 +69,18 @@ impl Weights {
         Checkpoint::at(&self.folder)
     }
 
+    /// The same, of which networks keep their packed weights below a folder, if there is one.
+    ///
+    /// # Errors
+    /// Those of [`Checkpoint::open`] and [`Checkpoint::keep_packed`].
+    pub fn open_keeping(&self, packed: Option<&Path>) -> Result<Checkpoint, ModelError> {
+        let checkpoint = self.open()?;
+        match packed {
+            Some(folder) => checkpoint.keep_packed(folder),
+            None => Ok(checkpoint),
+        }
+    }
+
     /// What a user should know about them.
     #[must_use]
     pub fn note(&self) -> Option<String> {

@@ -165,6 +165,15 @@ impl Layout {
         self.library
     }
 
+    /// What tells this layout from others, of this library's version: the library's own description.
+    #[must_use]
+    pub fn fingerprint(&self) -> Vec<u8> {
+        let (major, minor, patch) = self.library.version();
+        let version = [major, minor, patch].map(i64::from);
+        let words = version.into_iter().chain(self.desc.0.iter().map(|word| *word as i64));
+        words.flat_map(i64::to_le_bytes).collect()
+    }
+
     /// Bytes that a memory of this layout takes, gaps included.
     #[must_use]
     pub fn bytes(&self) -> usize {

@@ -378,6 +378,12 @@ impl Convolution {
         self.result
     }
 
+    /// Layout of the weights as this convolution wants them.
+    #[must_use]
+    pub fn weights(&self) -> Layout {
+        self.weights
+    }
+
     /// Weights (`outputs x inputs x height x width`) as this convolution wants them.
     ///
     /// # Errors

@@ -70,6 +70,134 @@ fn a_border_hangs_on_rounding_along_both_axes_and_only_beside_another_validity()
     }
 }
 
+/// Cells whose holes follow no pattern.
+fn pitted(width: usize, height: usize) -> Vec<f32> {
+    let hole = |k: usize| (k * 7919 + k * k * 31) % 11 < 4;
+    (0..width * height).map(|k| if hole(k) { f32::NAN } else { k as f32 }).collect()
+}
+
+#[test]
+fn a_rectangle_is_mixed_where_counting_its_cells_one_by_one_finds_both() {
+    let data = pitted(9, 6);
+    let cells = cells(&data, 9);
+    let mut holes = Holes::default();
+    // What a former window left behind does not count.
+    holes.count(&Cells { data: &data[..8], col: 0, row: 0, width: 4, height: 2 });
+    holes.count(&cells);
+    let mut found = [0, 0];
+    for top in -53..-43 {
+        for bottom in top..-42 {
+            for left in 97..111 {
+                for right in left..112 {
+                    let places = (top..=bottom).flat_map(|r| (left..=right).map(move |c| (c, r)));
+                    let data = places.clone().filter(|&(c, r)| !cells.at(c, r).is_nan()).count();
+                    let expected = data > 0 && data < places.count();
+                    let mixed = holes.mixed((left, right), (top, bottom));
+                    assert_eq!(
+                        mixed, expected,
+                        "columns {left} to {right}, rows {top} to {bottom}"
+                    );
+                    found[usize::from(mixed)] += 1;
+                }
+            }
+        }
+    }
+    assert!(found[0] > 1000 && found[1] > 1000, "{found:?}");
+}
+
+#[test]
+fn a_hole_counts_where_it_lies_among_the_taps_and_nowhere_else() {
+    use {EdgeRule::*, Resampling::*};
+    let at = [(103.2, -46.8), (103.7, -46.3)];
+    for hole in 0..64_i64 {
+        let mut data = plane(8, 8);
+        data[hole as usize] = f32::NAN;
+        let cells = cells(&data, 8);
+        let (col, row) = (100 + hole % 8, -50 + hole / 8);
+        for (x, y) in at {
+            let distance = |v: f64, cell: i64| (v - (cell as f64 + 0.5)).abs();
+            let apart = distance(x, col).max(distance(y, row));
+            let own = (col, row) == (x.floor() as i64, y.floor() as i64);
+            for (resampling, edge, reach, beside) in [
+                (Nearest, Strict, 0.0, Support::None),
+                (Bilinear, Renormalise, 0.0, Support::None),
+                (Bilinear, Strict, 1.0, Support::None),
+                (Cubic, Renormalise, 2.0, Support::Part),
+                (Cubic, Strict, 2.0, Support::None),
+            ] {
+                let expected = match (own, apart < reach) {
+                    (true, _) => Support::None,
+                    (false, true) => beside,
+                    (false, false) => Support::Whole,
+                };
+                let k = Kernel { edge, ..kernel(resampling) };
+                let found = k.support(&cells, x, y);
+                assert_eq!(found, expected, "{resampling:?} {edge:?}: hole {col} {row}, {x} {y}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_point_that_may_move_far_flips_where_its_box_reaches_a_hole() {
+    let mut data = plane(9, 9);
+    data[4 * 9 + 4] = f32::NAN; // cell (104, -46)
+    let cells = cells(&data, 9);
+    let mut holes = Holes::default();
+    holes.count(&cells);
+    for (resampling, edge, taps) in [
+        (Resampling::Bilinear, EdgeRule::Renormalise, 0.0),
+        (Resampling::Bilinear, EdgeRule::Strict, 1.0),
+        (Resampling::Cubic, EdgeRule::Renormalise, 2.0),
+    ] {
+        let k = Kernel::new(resampling, edge, (0.5, 0.5), (0.75, 0.6));
+        let (reach_x, reach_y) = (0.75 + taps, 0.6 + taps);
+        for step in 0..=160 {
+            let way = f64::from(step) * 0.05 + 0.013;
+            for (a, b) in [
+                ((100.5 + way, -45.5), (100.5 + way, -45.5)),
+                ((104.5, -49.5 + way), (104.5, -49.5 + way)),
+                // A pixel 0.8 wide, its corners in either order.
+                ((101.3 + way, -45.5), (100.5 + way, -45.5)),
+            ] {
+                let inside = |low: f64, high: f64, reach: f64, cell: f64| {
+                    (low - reach).floor() <= cell && cell <= (high + reach).floor()
+                };
+                let expected = inside(a.0.min(b.0), a.0.max(b.0), reach_x, 104.0)
+                    && inside(a.1.min(b.1), a.1.max(b.1), reach_y, -46.0);
+                let found = k.flips_far(&holes, a, b);
+                // Beyond the window there are holes too.
+                let near_window = a.0.min(b.0) - reach_x < 100.0
+                    || a.0.max(b.0) + reach_x >= 109.0
+                    || a.1 - reach_y < -50.0
+                    || a.1 + reach_y >= -41.0;
+                assert_eq!(found, expected || near_window, "{resampling:?} {edge:?} {a:?} {b:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn surfaces_are_as_many_times_steeper_than_their_cells_as_stated() {
+    let factor = |resampling, width| kernel(resampling).slope_factor(width);
+    assert_eq!(factor(Resampling::Nearest, 1.0), None);
+    assert_eq!(factor(Resampling::Bilinear, 1.0), Some(1.0));
+    assert_eq!(factor(Resampling::Cubic, 1.0), Some(2.5));
+    assert_eq!([0.25, 4.0].map(|w| factor(Resampling::Average, w)), [Some(5.0), Some(1.25)]);
+    let wide = Kernel::new(Resampling::Bilinear, EdgeRule::Strict, (3.0, 1.0), (0.0, 0.0));
+    assert_eq!(wide.slope_factor(1.0), Some(2.0));
+}
+
+#[test]
+fn weights_that_cancel_make_no_value() {
+    let k = kernel(Resampling::Cubic);
+    assert_eq!(k.weighted([(5.0, 0.5), (7.0, 0.5)]), 6.0);
+    assert_eq!(k.weighted([(5.0, 2e-6), (f64::NAN, 0.9)]), 5.0);
+    for weight in [9e-7, 0.0, -0.2] {
+        assert!(k.weighted([(5.0, weight), (f64::NAN, 0.9)]).is_nan(), "{weight}");
+    }
+}
+
 #[test]
 fn kernels_widen_beyond_095_pixels_per_cell_and_margins_hold_their_taps() {
     use Resampling::{Average, Bilinear, Cubic, Nearest};

@@ -201,15 +201,60 @@ fn a_window_is_cut_until_it_fits_and_one_pixel_that_does_not_fit_is_an_error() {
     let extent = LatticeWindow { col: 0, row: 0, width: 9_000, height: 2 };
     let raster = Raster::of(extent, |col, row| (col + 10_000 * row) as f32);
     let map = image([0.0, -3_000.0], [3_000.0, 2_000.0], (3, 3));
-    let mut out = vec![0.0; 9];
+    let (mut out, mut ids) = (vec![0.0; 9], vec![1; 9]);
     let settings = WarpSettings { metres_per_unit: 1.0, ..SETTINGS };
     // Pixel (x, y) has its centre in cell 3000 x + 1500, 2000 y - 2000: only the middle row is in the raster.
-    warp(&map, &raster, &settings, &mut out, None).expect("warps");
+    warp(&map, &raster, &settings, &mut out, Some(&mut ids)).expect("warps");
     assert!(out[..3].iter().chain(&out[6..]).all(|v| v.is_nan()), "{out:?}");
     assert_eq!(out[3..6], [1_500.0, 4_500.0, 7_500.0]);
+    const NO: u16 = u16::MAX;
+    assert_eq!(ids, [NO, NO, NO, 3, 8, 8, NO, NO, NO]);
     let settings = WarpSettings { resampling: Resampling::Average, ..settings };
     let error = warp(&map, &raster, &settings, &mut out, None);
     let Err(WarpError::TooCoarse { cells, limit }) = error else { panic!("{error:?}") };
     // The pixel's corners and a cell beyond each.
     assert_eq!((cells, limit), (3_003 * 2_003, 1 << 22));
+}
+
+#[test]
+fn beside_holes_the_range_of_what_is_left_of_four_cells_counts_twice() {
+    const HOLE: f32 = f32::NAN;
+    // No hole; a hole with three, two, one and no cells beside it.
+    assert_eq!(range_beside_holes(&[1.0, 9.0, 5.0, 3.0], 2), 0.0);
+    assert_eq!(range_beside_holes(&[1.0, 9.0, 5.0, HOLE], 2), 8.0);
+    assert_eq!(range_beside_holes(&[HOLE, 9.0, 5.0, HOLE], 2), 4.0);
+    assert_eq!(range_beside_holes(&[HOLE, 9.0, HOLE, HOLE], 2), 0.0);
+    assert_eq!(range_beside_holes(&[HOLE; 4], 2), 0.0);
+    // Cells 2 wide and 0.5 high. A hole in the corner of a plane that rises by 3 a column.
+    let extent = LatticeWindow { col: 0, row: 0, width: 40, height: 40 };
+    let raster = Raster::of(extent, |col, row| match (col, row) {
+        (20, 20) => HOLE,
+        _ => 3.0 * col as f32,
+    });
+    let mut out = vec![0.0; 40 * 40];
+    let map = image([0.0, 0.0], [1.0, 1.0], (40, 40));
+    for (resampling, steepest) in [
+        // Twice the range of 3, as a step along both axes.
+        (Resampling::Bilinear, libm::hypot(6.0 / 2.0, 6.0 / 0.5)),
+        (Resampling::Average, 3.0 / 2.0),
+    ] {
+        let settings = WarpSettings { resampling, ..SETTINGS };
+        let seen = warp(&map, &raster, &settings, &mut out, None).expect("warps");
+        assert!((seen.steepest - steepest).abs() < 1e-12, "{resampling:?}: {}", seen.steepest);
+    }
+}
+
+#[test]
+fn a_mean_is_as_steep_as_its_narrowest_pixel_lets_it_be() {
+    let extent = LatticeWindow { col: 0, row: 0, width: 60, height: 60 };
+    let raster = Raster::of(extent, |col, row| (col * row % 7) as f32);
+    let mut out = vec![0.0; 30 * 20];
+    let settings = WarpSettings { resampling: Resampling::Average, ..SETTINGS };
+    for step in [[1.5, 0.75], [0.5, 2.5]] {
+        let map = image([3.0, 2.0], step, (30, 20));
+        let seen = warp(&map, &raster, &settings, &mut out, None).expect("warps");
+        let factor = seen.slope_factor.expect("no steps");
+        let expected = 1.0 + 1.0 / step[0].min(step[1]);
+        assert!((factor - expected).abs() < 1e-9, "{step:?}: {factor} for {expected}");
+    }
 }

@@ -49,6 +49,11 @@ impl<'a> Place<'a> {
         self.source.mapped(&self.key(name), &shape)
     }
 
+    /// See [`TensorSource::packed`].
+    pub(crate) fn packed(&self) -> Option<&'a crate::weights::PackedWeights> {
+        self.source.packed()
+    }
+
     /// See [`TensorSource::release`].
     pub(crate) fn release(&self, name: &str) {
         self.source.release(&self.key(name));

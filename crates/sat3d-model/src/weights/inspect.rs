@@ -218,7 +218,9 @@ pub fn examine(folder: &Path) -> Result<Checkpoint, Problems> {
         (Some(config), Ok(file), true) => {
             let path = place.join("config.json");
             match std::fs::read_to_string(&path) {
-                Ok(config_text) => Ok(Checkpoint { folder: place, config_text, config, file }),
+                Ok(config_text) => {
+                    Ok(Checkpoint { folder: place, config_text, config, file, packed: None })
+                }
                 Err(source) => fail(vec![ModelError::Io { path, source }]),
             }
         }

@@ -84,6 +84,12 @@ impl MappedFile {
         &self.bytes
     }
 
+    /// The header: names, types, shapes and places of the tensors.
+    #[must_use]
+    pub fn header(&self) -> &[u8] {
+        &self.bytes[..self.start]
+    }
+
     /// Keys of the tensors, in file order.
     pub fn keys(&self) -> impl Iterator<Item = &str> {
         self.keys.iter().map(String::as_str)

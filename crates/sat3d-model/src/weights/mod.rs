@@ -9,11 +9,13 @@ use crate::error::{Mismatch, ModelError};
 use crate::field::{Linear, PointHead};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 mod built_in;
 mod expected;
 mod inspect;
 mod mapped;
+mod packed;
 mod rounded;
 pub mod rule;
 
@@ -21,6 +23,7 @@ pub use built_in::{BuiltIn, MINI};
 pub use expected::{Need, TensorSpec, expected};
 pub use inspect::{Inspection, ModuleSummary, Problems, examine, inspect, inspect_with};
 pub use mapped::MappedFile;
+pub use packed::PackedWeights;
 pub use rounded::{LEAST_NORMAL, Precision, Rounding, RoundingError, write_rounded};
 
 /// Name of the weights' file in a checkpoint folder.
@@ -43,9 +46,14 @@ pub trait TensorSource: Send + Sync {
 
     /// A hint that [`TensorSource::mapped`] will not be read for a while.
     fn release(&self, _key: &str) {}
+
+    /// Where what an engine makes of the tensors may be kept for the next run.
+    fn packed(&self) -> Option<&PackedWeights> {
+        None
+    }
 }
 
-impl<T: TensorSource + ?Sized> TensorSource for std::sync::Arc<T> {
+impl<T: TensorSource + ?Sized> TensorSource for Arc<T> {
     fn read(&self, key: &str, shape: &[usize]) -> Result<Vec<f32>, ModelError> {
         (**self).read(key, shape)
     }
@@ -56,6 +64,10 @@ impl<T: TensorSource + ?Sized> TensorSource for std::sync::Arc<T> {
 
     fn release(&self, key: &str) {
         (**self).release(key);
+    }
+
+    fn packed(&self) -> Option<&PackedWeights> {
+        (**self).packed()
     }
 }
 
@@ -96,6 +108,7 @@ pub struct Checkpoint {
     config_text: String,
     config: Config,
     file: MappedFile,
+    packed: Option<Arc<PackedWeights>>,
 }
 
 impl Checkpoint {
@@ -148,7 +161,25 @@ impl Checkpoint {
             let path = file.path().into();
             return Err(ModelError::Tensors { path, mismatch: Box::new(mismatch) });
         }
-        Ok(Self { folder, config_text, config, file })
+        Ok(Self { folder, config_text, config, file, packed: None })
+    }
+
+    /// The same checkpoint, of which networks keep their packed weights below a folder. A model that is part of the
+    /// program is too small to gain from it and keeps none.
+    ///
+    /// # Errors
+    /// Those of [`PackedWeights::of`].
+    pub fn keep_packed(mut self, cache: &Path) -> Result<Self, ModelError> {
+        if self.file.path().is_file() {
+            self.packed = Some(Arc::new(PackedWeights::of(&self.file, cache)?));
+        }
+        Ok(self)
+    }
+
+    /// Where packed weights are kept.
+    #[must_use]
+    pub fn packed(&self) -> Option<&PackedWeights> {
+        self.packed.as_deref()
     }
 
     /// The text of `config.json`.
@@ -189,6 +220,10 @@ impl TensorSource for Checkpoint {
         if let Some(bytes) = self.file.raw(key) {
             self.file.release(bytes);
         }
+    }
+
+    fn packed(&self) -> Option<&PackedWeights> {
+        Self::packed(self)
     }
 }
 

@@ -58,7 +58,6 @@ impl Conv {
         numerics: Numerics,
     ) -> Result<Self, ModelError> {
         let ConvShape { inputs, outputs, side, kernel, border, sum } = shape;
-        let weights = place.read("weight", [outputs, inputs, kernel, kernel])?;
         let target = match kernel {
             1 => Target::plain(numerics.element),
             _ => Target::bordered(numerics.element, border),
@@ -77,7 +76,8 @@ impl Conv {
             algorithm: if kernel == 3 { numerics.algorithm } else { Algorithm::Direct },
             sum,
         };
-        let (convolution, weights) = compiled(library, &spec, &weights)?;
+        let read = || place.read("weight", [outputs, inputs, kernel, kernel]);
+        let (convolution, weights) = compiled(library, &spec, (place, "weight"), read)?;
         let bias = place.read("bias", [outputs])?;
         Ok(Self { convolution, weights, bias, outputs, order: numerics.order, target })
     }
@@ -119,11 +119,13 @@ impl Conv {
     }
 }
 
-/// The convolution with its weights packed; Winograd's where it exists for these sizes, else the direct one.
+/// The convolution with its weights packed; Winograd's where it exists for these sizes, else the direct one. Weights
+/// that a former run packed under the same name for the same layout are not read and packed again.
 fn compiled(
     library: &'static Library,
     spec: &ConvolutionSpec,
-    weights: &[f32],
+    (place, name): (&Place<'_>, &str),
+    read: impl FnOnce() -> Result<Vec<f32>, ModelError>,
 ) -> Result<(Convolution, Memory), ModelError> {
     let made = match Convolution::new(library, spec) {
         Err(Error::Unimplemented { .. }) if spec.algorithm == Algorithm::Winograd => {
@@ -133,9 +135,20 @@ fn compiled(
     };
     let failed = failed("convolution");
     let convolution = made.map_err(&failed)?;
+    let (key, layout) = (place.key(name), convolution.weights());
+    let kept = place.packed().map(|packed| (packed, layout.fingerprint()));
+    if let Some((packed, fingerprint)) = &kept {
+        let mut weights = Memory::new(layout);
+        if packed.recall(&key, fingerprint, weights.floats_mut()) {
+            return Ok((convolution, weights));
+        }
+    }
     // A session of its own: layers are loaded side by side.
     let mut session = Session::new(library).map_err(&failed)?;
-    let weights = convolution.pack(&mut session, weights).map_err(&failed)?;
+    let weights = convolution.pack(&mut session, &read()?).map_err(&failed)?;
+    if let Some((packed, fingerprint)) = &kept {
+        packed.keep(&key, fingerprint, weights.floats());
+    }
     Ok((convolution, weights))
 }
 
@@ -167,7 +180,6 @@ impl Upsample {
             conv.target.doubled = true;
             return Ok(Self::Plain(Box::new(conv)));
         }
-        let weights = place.read("weight", [width, width, 3, 3])?;
         let phase = |index: usize| {
             let odd = [index / 2, index % 2];
             let spec = ConvolutionSpec {
@@ -183,7 +195,12 @@ impl Upsample {
                 algorithm: Algorithm::Direct,
                 sum: false,
             };
-            compiled(library, &spec, &phase_weights(&weights, odd))
+            let read = || {
+                let weights = place.read("weight", [width, width, 3, 3])?;
+                Ok(phase_weights(&weights, odd))
+            };
+            let name = format!("weight, rows {} and columns {}", odd[0], odd[1]);
+            compiled(library, &spec, (place, &name), read)
         };
         Ok(Self::Phases {
             phases: Box::new([phase(0)?, phase(1)?, phase(2)?, phase(3)?]),

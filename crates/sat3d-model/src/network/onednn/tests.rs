@@ -8,6 +8,7 @@ use super::*;
 use crate::config::GROUPS;
 use crate::network::Execution;
 use crate::random::Draw;
+use crate::weights::PackedWeights;
 use crate::weights::rule::{RuleWeights, tiny_overrides};
 
 const TINY: &str = include_str!("../../../fixtures/tiny/model/config.json");
@@ -300,4 +301,45 @@ fn calls_from_several_threads_take_turns() {
             assert_eq!(thread.join().unwrap(), first);
         }
     });
+}
+
+/// Weights of which packed ones are kept.
+struct Keeping {
+    weights: RuleWeights,
+    packed: PackedWeights,
+}
+
+impl TensorSource for Keeping {
+    fn read(&self, key: &str, shape: &[usize]) -> Result<Vec<f32>, ModelError> {
+        self.weights.read(key, shape)
+    }
+
+    fn packed(&self) -> Option<&PackedWeights> {
+        Some(&self.packed)
+    }
+}
+
+#[test]
+fn weights_that_were_kept_make_the_same_network_bit_for_bit() {
+    let config = Config::from_json(TINY).unwrap();
+    let image = grid(3, [256, 256], 0.0);
+    let folder = tempfile::tempdir().unwrap();
+    for precision in Precision::ALL {
+        let Some([plain, _]) = networks(&config, precision, false) else { continue };
+        let map = plain.map(&image).unwrap();
+        let made = || {
+            let weights = RuleWeights::new(&config, tiny_overrides());
+            let packed = PackedWeights::in_folder(folder.path().to_owned());
+            let source = Arc::new(Keeping { weights, packed });
+            let network =
+                OneDnnNetwork::new(config.clone(), Box::new(Arc::clone(&source)), precision)
+                    .unwrap();
+            assert_eq!(network.map(&image).unwrap(), map, "{precision}");
+            assert_eq!(source.packed.failure(), None);
+            source.packed.counts()
+        };
+        let ([none, kept], [found, more]) = (made(), made());
+        assert!(none == 0 && kept > 10, "{precision}: {none} {kept}");
+        assert_eq!([found, more], [kept, 0], "{precision}: all of them are found again");
+    }
 }
