@@ -38,7 +38,7 @@ impl ComputeArgs {
 /// Where weights are kept as the network wants them.
 #[derive(clap::Args, Debug)]
 pub struct PackedArgs {
-    /// Keep the weights here as oneDNN packs them, so that later runs begin sooner (full network: about 1.2 GB for fp32-winograd)
+    /// Keep the weights here as fp32-winograd packs them, so that later runs begin a second sooner (full network: 1.1 GB)
     #[arg(long, value_name = "DIR")]
     pub packed_weights: Option<PathBuf>,
 }

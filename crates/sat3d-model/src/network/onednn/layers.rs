@@ -136,7 +136,9 @@ fn compiled(
     let failed = failed("convolution");
     let convolution = made.map_err(&failed)?;
     let (key, layout) = (place.key(name), convolution.weights());
-    let kept = place.packed().map(|packed| (packed, layout.fingerprint()));
+    // The transforms of Winograd's take seconds; other orders are made as fast as they would be read.
+    let slow = spec.algorithm == Algorithm::Winograd;
+    let kept = place.packed().filter(|_| slow).map(|packed| (packed, layout.fingerprint()));
     if let Some((packed, fingerprint)) = &kept {
         let mut weights = Memory::new(layout);
         if packed.recall(&key, fingerprint, weights.floats_mut()) {

@@ -339,7 +339,8 @@ fn weights_that_were_kept_make_the_same_network_bit_for_bit() {
             source.packed.counts()
         };
         let ([none, kept], [found, more]) = (made(), made());
-        assert!(none == 0 && kept > 10, "{precision}: {none} {kept}");
+        let slow = precision == Precision::Fp32Winograd;
+        assert!(none == 0 && (kept > 10) == slow, "{precision}: {none} {kept}");
         assert_eq!([found, more], [kept, 0], "{precision}: all of them are found again");
     }
 }
