@@ -544,6 +544,31 @@ mod tests {
     }
 
     #[test]
+    fn a_plane_s_lines_are_the_plane_at_their_points() {
+        let (rows, columns, hidden) = (5, 3, LANES);
+        let texels = (0..(rows + 2) * (columns + 2) * hidden).map(|k| (k * 37 % 101) as f32);
+        let plane = Plane { rows, columns, texels: texels.collect() };
+        let sum = |taps: &[&[f32]], weights: &[f32], channel: usize| -> f32 {
+            taps.iter().zip(weights).map(|(tap, weight)| tap[channel] * weight).sum()
+        };
+        for k in 0..200 {
+            let [u, v] = [7, 11].map(|step| (k * step % 103) as f32 / 50.0 - 1.03);
+            let (taps, weights) = plane.taps(u, v, hidden);
+            let over_columns = plane.line_over_columns(v, hidden);
+            let over_rows = plane.line_over_rows(u, hidden);
+            assert_eq!((over_columns.cells, over_rows.cells), (columns, rows));
+            for (line, at) in [(&over_columns, u), (&over_rows, v)] {
+                let (ends, shares) = line.taps(at, hidden);
+                for channel in 0..hidden {
+                    let expected = sum(&taps, &weights, channel);
+                    let found = sum(&ends, &shares, channel);
+                    assert!((found - expected).abs() < 1e-4, "{u} {v}: {found} {expected}");
+                }
+            }
+        }
+    }
+
+    #[test]
     fn a_column_is_the_same_as_its_points() {
         let (inputs, head) = BoxCity { texels: 24, ..BoxCity::example() }.inputs();
         let field = Field::new(&inputs, &head, None).unwrap();

@@ -182,6 +182,61 @@ mod tests {
         }
     }
 
+    /// The chords of every way to cut a polygon into triangles.
+    fn cuts(polygon: &[usize]) -> Vec<Vec<[usize; 2]>> {
+        let last = polygon.len() - 1;
+        if last < 3 {
+            return vec![Vec::new()];
+        }
+        let apices = 1..last;
+        apices
+            .flat_map(|apex| {
+                let own = [(0, apex), (apex, last)].into_iter().filter(|(a, b)| b - a > 1);
+                let own: Vec<_> = own.map(|(a, b)| [polygon[a], polygon[b]]).collect();
+                let rest = cuts(&polygon[apex..]);
+                let parts = cuts(&polygon[..=apex]).into_iter();
+                let joined = parts.flat_map(move |part| {
+                    let own = own.clone();
+                    rest.clone().into_iter().map(move |rest| [&part[..], &rest, &own].concat())
+                });
+                joined.collect::<Vec<_>>()
+            })
+            .collect()
+    }
+
+    #[test]
+    fn no_other_way_to_fill_a_loop_has_shorter_chords() {
+        let place = |edge: usize| middle(edge).map(f64::from);
+        let square = |a: usize, b: usize| -> f64 {
+            place(a).into_iter().zip(place(b)).map(|(a, b)| (a - b) * (a - b)).sum()
+        };
+        let mut choices = 0;
+        for corners in 0..=255_u8 {
+            let mut least = 0.0;
+            for polygon in loops(corners) {
+                let ways = cuts(&polygon);
+                // Catalan's numbers: 1, 2, 5, 14, 42 ...
+                assert_eq!(ways.len(), [1, 2, 5, 14, 42, 132, 429][polygon.len() - 3]);
+                let in_no_face = |way: &&Vec<[usize; 2]>| {
+                    way.iter().all(|[a, b]| faces_of(*a) & faces_of(*b) == 0)
+                };
+                let costs = ways.iter().filter(in_no_face);
+                let costs = costs.map(|way| way.iter().map(|[a, b]| square(*a, *b)).sum::<f64>());
+                choices += ways.len() - 1;
+                least += costs.fold(f64::INFINITY, f64::min);
+            }
+            let case = CASES[usize::from(corners)];
+            let triangles = &case.triangles[..usize::from(case.count)];
+            let sides = triangles.iter().flat_map(|t| [0, 1, 2].map(|k| [t[k], t[(k + 1) % 3]]));
+            let sides: std::collections::HashSet<[u8; 2]> = sides.collect();
+            let chords = sides.iter().filter(|[a, b]| sides.contains(&[*b, *a]));
+            // Each is the side of two triangles.
+            let found: f64 = chords.map(|[a, b]| square((*a).into(), (*b).into()) / 2.0).sum();
+            assert!((found - least).abs() < 1e-9, "{corners:08b}: {found} for {least}");
+        }
+        assert!(choices > 1000, "{choices}");
+    }
+
     #[test]
     fn one_corner_is_cut_off_with_its_triangle_facing_away() {
         let case = CASES[1];

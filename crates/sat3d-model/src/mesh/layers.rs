@@ -417,3 +417,35 @@ impl<V: Copy + Into<f64>> LayerMesher<V> {
 fn shifted(row: &[u64], index: usize) -> u64 {
     row[index] >> 1 | row.get(index + 1).map_or(0, |next| next << 63)
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "a test may fail")]
+    use super::*;
+
+    #[test]
+    fn vertices_are_numbered_up_to_the_last_number_of_32_bits_and_not_beyond() {
+        let axis = || Axis::new(-1.0, [0.0, 1.0, 2.0], 3.0).unwrap();
+        // One point inside, with two edges cut beside it in its layer, or four, and one before it.
+        let push = |count: u64| {
+            let mut mesher = LayerMesher::new(-1.0, axis(), axis(), 0.5).unwrap();
+            mesher.count = count;
+            let mut layer = [0.0_f32; 9];
+            layer[4] = 1.0;
+            let pushed = mesher.push(0.0, &layer, &mut Surface::default());
+            (pushed, mesher.vertices())
+        };
+        let (pushed, vertices) = push(0);
+        pushed.unwrap();
+        assert_eq!(vertices, 5);
+        let last = u64::from(u32::MAX);
+        let (pushed, vertices) = push(last - 5);
+        pushed.unwrap();
+        assert_eq!(vertices, last);
+        for beyond in [1, 2, 1 << 40] {
+            let (pushed, vertices) = push(last - 5 + beyond);
+            let Err(MeshError::TooManyVertices(found)) = pushed else { panic!("{pushed:?}") };
+            assert_eq!((found, vertices), (last + beyond, last + beyond));
+        }
+    }
+}

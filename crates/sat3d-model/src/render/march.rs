@@ -181,3 +181,43 @@ impl March {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A wall that begins within the ray, and a haze before it.
+    struct Haze;
+
+    impl Medium for Haze {
+        fn raw(&mut self, radii: &[f32], raw: &mut [f32], _hidden: Option<&mut [f32]>) {
+            for (raw, radius) in raw.iter_mut().zip(radii) {
+                *raw = if *radius < 0.7 { 0.4 } else { 9.0 };
+            }
+        }
+
+        fn hidden(&self) -> usize {
+            0
+        }
+    }
+
+    #[test]
+    fn samples_share_all_the_light_that_ends_and_where_it_ends() {
+        for (sampling, apart) in [(Sampling::Reference, 1e-6), (Sampling::Stable, 2e-2)] {
+            let counts = SampleCounts::new(24, 24).expect("counts");
+            let activation = DensityActivation::Mipnerf;
+            let mut march = March::new(Arch::new(), sampling, counts, activation);
+            let hit = march.run(1.3, &mut Haze, true);
+            assert_eq!(march.shares.len(), 48);
+            let sum = |of: &dyn Fn(f64) -> f64| -> f64 {
+                let samples = march.shares.iter().zip(&march.radii);
+                samples.map(|(share, radius)| f64::from(*share) * of(f64::from(*radius))).sum()
+            };
+            let light = sum(&|_| 1.0);
+            assert!(hit.opacity > 0.5 && (light - hit.opacity).abs() < 1e-6, "{light} {hit:?}");
+            // The released rule puts an interval's light in its middle, which its ends share; the stable one in a cell.
+            let distance = sum(&|radius| radius);
+            assert!((distance - hit.distance).abs() < apart, "{sampling:?}: {distance} {hit:?}");
+        }
+    }
+}
