@@ -544,6 +544,28 @@ mod tests {
     }
 
     #[test]
+    fn another_style_is_another_colour_of_the_same_densities() {
+        let (inputs, head) = BoxCity { texels: 24, ..BoxCity::example() }.inputs();
+        let mut head = head;
+        // The example's colours do not hang on the style.
+        for (k, weight) in head.style.weight.iter_mut().enumerate() {
+            *weight = 0.3 + 0.1 * (k % 5) as f32;
+        }
+        for (k, weight) in head.color.weight.iter_mut().enumerate() {
+            *weight = 0.2 - 0.03 * (k % 7) as f32;
+        }
+        let [dark, light] = [0.1, 2.0].map(|s| Field::new(&inputs, &head, Some(&[s])).unwrap());
+        let points: Vec<[f32; 3]> =
+            (0..50).map(|k| [0.01 * k as f32, 0.2, -0.9 + 0.02 * k as f32]).collect();
+        let (densities, colors) = dark.densities_and_colors(&points);
+        let (same, others) = light.densities_and_colors(&points);
+        assert_eq!(densities, same);
+        assert!(colors != others);
+        let relit = dark.with_style(&head, Some(&[2.0])).unwrap();
+        assert_eq!(relit.densities_and_colors(&points), (same, others));
+    }
+
+    #[test]
     fn a_plane_s_lines_are_the_plane_at_their_points() {
         let (rows, columns, hidden) = (5, 3, LANES);
         let texels = (0..(rows + 2) * (columns + 2) * hidden).map(|k| (k * 37 % 101) as f32);

@@ -105,7 +105,8 @@ fn fill(polygon: &[usize], first: usize, last: usize) -> Option<(i32, Vec<[u8; 3
         return Some((0, Vec::new()));
     }
     let chord = |i: usize, j: usize| -> Option<i32> {
-        if j - i == 1 || j - i == polygon.len() - 1 {
+        // Of the polygon's own sides; the one from its last vertex to its first is never asked for.
+        if j - i == 1 {
             return Some(0);
         }
         let (a, b) = (middle(polygon[i]), middle(polygon[j]));
