@@ -302,7 +302,7 @@ fn list_images(
     Some(counts)
 }
 
-/// Names in a folder, hidden files left out.
+/// Names in a folder; hidden files, and what GDAL keeps beside an image, left out.
 fn list(folder: &Path) -> io::Result<BTreeSet<String>> {
     let mut names = BTreeSet::new();
     for entry in std::fs::read_dir(folder)? {
@@ -312,5 +312,7 @@ fn list(folder: &Path) -> io::Result<BTreeSet<String>> {
             names.insert(name);
         }
     }
+    let all = names.clone();
+    names.retain(|name| name.strip_suffix(".aux.xml").is_none_or(|image| !all.contains(image)));
     Ok(names)
 }

@@ -155,6 +155,8 @@ fn messy_root() -> TempDir {
     write(&seattle.join("satellite").join(satellite(1, 1)), &whole[..whole.len() / 2]);
     write(&seattle.join("satellite").join(satellite(9, 9)), &whole);
     write(&seattle.join("satellite/Thumbs.db"), "x");
+    // What QGIS leaves beside an image that it has shown belongs to that image.
+    write(&seattle.join("satellite").join(satellite(9, 9) + ".aux.xml"), "<PAMDataset/>");
     write(&seattle.join("panorama").join(panorama("a", 0, 0).0), jpeg());
     write(&seattle.join("panorama").join(panorama("b", 1, 1).0), "no JPEG");
 

@@ -510,6 +510,8 @@ mod tests {
     #![allow(clippy::unwrap_used, reason = "a test may fail")]
     use super::*;
     use crate::field::closed_form::BoxCity;
+    use crate::field::{FieldInputs, Linear, Representation};
+    use crate::tensor::Grid;
     use pulp::Arch;
 
     /// Every vector unit of this machine, and none at all.
@@ -563,6 +565,34 @@ mod tests {
         assert!(colors != others);
         let relit = dark.with_style(&head, Some(&[2.0])).unwrap();
         assert_eq!(relit.densities_and_colors(&points), (same, others));
+    }
+
+    #[test]
+    fn the_features_of_three_planes_are_averaged() {
+        let (inputs, head) = BoxCity { texels: 8, ..BoxCity::example() }.inputs();
+        let count = head.net0.inputs;
+        // Each channel of each plane has a value of its own, the same everywhere.
+        let value = |channel: usize| 0.05 * (channel * 7 % 11) as f32 - 0.2;
+        let data = (0..3 * count).flat_map(|channel| vec![value(channel); 64]).collect();
+        let map = Grid::new(3 * count, 8, 8, data);
+        let inputs = FieldInputs { map, representation: Representation::Triplane, ..inputs };
+        let field = Field::new(&inputs, &head, None).unwrap();
+        let weight = |layer: &Linear, row: usize, column: usize| {
+            f64::from(layer.weight[row * layer.inputs + column])
+        };
+        let mut expected = f64::from(head.density.bias[0]);
+        for unit in 0..head.net0.outputs {
+            let mean =
+                |i: usize| (0..3).map(|k| f64::from(value(k * count + i))).sum::<f64>() / 3.0;
+            let sum: f64 = (0..count).map(|i| weight(&head.net0, unit, i) * mean(i)).sum();
+            let x = sum + f64::from(head.net0.bias[unit]);
+            expected +=
+                weight(&head.density, 0, unit) * (x.max(0.0) + libm::log1p(libm::exp(-x.abs())));
+        }
+        for found in field.raw_densities(&[[0.1, -0.2, 0.3], [0.5, 0.4, -0.6]]) {
+            let apart = (f64::from(found) - expected).abs();
+            assert!(apart <= 1e-5 * expected.abs().max(1.0), "{found} for {expected}");
+        }
     }
 
     #[test]
