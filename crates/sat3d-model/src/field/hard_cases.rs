@@ -170,7 +170,7 @@ fn field(arch: Arch, value: f32, weight: f32, density: f32) -> Result<Field, Fie
 }
 
 /// Every vector unit of this machine, and none at all.
-fn units() -> Vec<Arch> {
+pub(super) fn units() -> Vec<Arch> {
     let mut units = vec![Arch::Scalar, Arch::new()];
     #[cfg(target_arch = "x86_64")]
     units.extend(pulp::x86::V3::try_new().map(Arch::V3));

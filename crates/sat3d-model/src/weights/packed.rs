@@ -8,7 +8,7 @@ use super::MappedFile;
 use crate::error::ModelError;
 use sha2::{Digest, Sha256};
 use std::fs::{self, File};
-use std::io::{self, BufWriter, Read, Write};
+use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -85,12 +85,6 @@ impl PackedWeights {
         self.failure.lock().unwrap_or_else(std::sync::PoisonError::into_inner).clone()
     }
 
-    /// The folder.
-    #[must_use]
-    pub fn folder(&self) -> &Path {
-        &self.folder
-    }
-
     fn file(&self, key: &str, layout: &[u8]) -> PathBuf {
         let mut hash = Sha256::new();
         hash.update(key.as_bytes());
@@ -161,14 +155,16 @@ fn write(path: &Path, values: &[f32]) -> io::Result<()> {
         path.parent().map_or(Ok(()), fs::create_dir_all)?;
         let mut sum = Sum::new();
         values.chunks(CHUNK / 4).for_each(|values| sum.add(values));
-        let mut file = BufWriter::with_capacity(CHUNK, File::create(&part)?);
+        let mut file = File::create(&part)?;
         file.write_all(MAGIC)?;
         file.write_all(&(values.len() as u64).to_le_bytes())?;
         file.write_all(&sum.value().to_le_bytes())?;
-        for value in values {
-            file.write_all(&value.to_le_bytes())?;
+        let mut bytes = Vec::with_capacity(CHUNK);
+        for values in values.chunks(CHUNK / 4) {
+            bytes.clear();
+            bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
+            file.write_all(&bytes)?;
         }
-        file.into_inner().map_err(io::IntoInnerError::into_error)?;
         fs::rename(&part, path)
     };
     whole().inspect_err(|_| {
