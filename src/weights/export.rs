@@ -1,4 +1,4 @@
-//! A checkpoint written anew, with 32-bit or 16-bit floats.
+//! A checkpoint, or the mean of several, written anew with 32-bit or 16-bit floats.
 
 use crate::batch::AtomicFolder;
 use crate::model::weights::{Precision, Rounding, RoundingError, WEIGHTS_FILE, write_rounded};
@@ -44,25 +44,29 @@ pub enum ExportError {
     },
 }
 
-/// Writes a checkpoint folder: `config.json` as it is, and all tensors in one precision. An older checkpoint at
-/// `target` is replaced. The bytes depend on the checkpoint's config and values alone.
+/// Writes a checkpoint folder: `config.json` as it is, and all tensors in one precision, the mean of the checkpoint's
+/// and the `others'` (see [`write_rounded`]). An older checkpoint at `target` is replaced. The bytes depend on the
+/// checkpoint's config and the values alone.
 ///
 /// # Errors
 /// [`ExportError`]; nothing is left then.
 pub fn export(
     checkpoint: &Checkpoint,
+    others: &[Checkpoint],
     target: &Path,
     precision: Precision,
 ) -> Result<Rounding, ExportError> {
     let io = |source| ExportError::Io { target: target.into(), source };
     if target.exists() {
-        replaceable(checkpoint, target)?;
+        for source in std::iter::once(checkpoint).chain(others) {
+            replaceable(source, target)?;
+        }
     }
     let folder = AtomicFolder::create(target).map_err(io)?;
     folder.write(FILES[0], checkpoint.config_text().as_bytes()).map_err(io)?;
     let mut result = None;
     folder
-        .file(FILES[1], |path| match write_rounded(checkpoint, precision, path) {
+        .file(FILES[1], |path| match write_rounded(checkpoint, others, precision, path) {
             Ok(rounding) => {
                 result = Some(Ok(rounding));
                 Ok(())
@@ -149,7 +153,7 @@ mod tests {
         let place = tempfile::tempdir().expect("a folder");
         let (source, target) = (place.path().join("source"), place.path().join("target"));
         let checkpoint = checkpoint(&source, None);
-        let rounding = export(&checkpoint, &target, Precision::Half).expect("exports");
+        let rounding = export(&checkpoint, &[], &target, Precision::Half).expect("exports");
         let (before, after) = (tensors(&source), tensors(&target));
         assert_eq!(before.len(), after.len());
         let mut largest = 0.0_f64;
@@ -182,20 +186,69 @@ mod tests {
         let place = tempfile::tempdir().expect("a folder");
         let at = |name: &str| place.path().join(name);
         let source = checkpoint(&at("source"), None);
-        let rounding = export(&source, &at("whole"), Precision::Single).expect("exports");
+        let rounding = export(&source, &[], &at("whole"), Precision::Single).expect("exports");
         assert_eq!((rounding.largest_relative, rounding.largest_in), (0.0, None));
         assert_eq!(tensors(&at("source")), tensors(&at("whole")));
-        export(&source, &at("half"), Precision::Half).expect("exports");
+        export(&source, &[], &at("half"), Precision::Half).expect("exports");
         // Again from another folder and another order of tensors, over an older export.
         let whole = Checkpoint::open(&at("whole")).expect("opens");
-        export(&whole, &at("half2"), Precision::Single).expect("exports");
-        export(&whole, &at("half2"), Precision::Half).expect("exports");
+        export(&whole, &[], &at("half2"), Precision::Single).expect("exports");
+        export(&whole, &[], &at("half2"), Precision::Half).expect("exports");
         let bytes = |name: &str| std::fs::read(at(name).join(WEIGHTS_FILE)).expect("reads");
         assert_eq!(bytes("half"), bytes("half2"));
         // Half floats are whole floats, too.
         let half = Checkpoint::open(&at("half")).expect("opens");
-        export(&half, &at("back"), Precision::Half).expect("exports");
+        export(&half, &[], &at("back"), Precision::Half).expect("exports");
         assert_eq!(bytes("half"), bytes("back"));
+    }
+
+    #[test]
+    fn several_give_the_mean_of_their_values() {
+        let place = tempfile::tempdir().expect("a folder");
+        let at = |name: &str| place.path().join(name);
+        let one = checkpoint(&at("one"), None);
+        // Values that the rule gives around other offsets, at other scales.
+        let two = checkpoint(&at("two"), Some((3.0, 0.7)));
+        let three = checkpoint(&at("three"), Some((-1e-3, 1e-6)));
+        let others = [two, three];
+        let rounding = export(&one, &others, &at("mean"), Precision::Single).expect("exports");
+        let of = |name: &str| tensors(&at(name));
+        let (one_s, two_s, three_s) = (of("one"), of("two"), of("three"));
+        let mean = of("mean");
+        assert_eq!((rounding.tensors, mean.len()), (one_s.len(), one_s.len()));
+        let mut moved = 0;
+        for (index, (key, shape, _, values)) in mean.iter().enumerate() {
+            assert_eq!((key, shape), (&one_s[index].0, &one_s[index].1));
+            for (at, value) in values.iter().enumerate() {
+                let all = [&one_s, &two_s, &three_s].map(|t| f64::from(t[index].3[at]));
+                assert_eq!(*value, ((all[0] + all[1] + all[2]) / 3.0) as f32, "{key} {at}");
+                moved += usize::from(f64::from(*value) != all[0]);
+            }
+        }
+        // The key that differs did, and nothing else moved but by thirds' rounding.
+        assert!(moved >= mean.iter().find(|t| t.0 == KEY).expect("is there").3.len());
+        // The mean of one and itself is itself, in both precisions.
+        let again = [Checkpoint::open(&at("one")).expect("opens")];
+        export(&one, &again, &at("same"), Precision::Single).expect("exports");
+        assert_eq!(of("same"), of("one"));
+    }
+
+    #[test]
+    fn no_mean_of_other_networks_or_onto_one_of_its_parts() {
+        let place = tempfile::tempdir().expect("a folder");
+        let at = |name: &str| place.path().join(name);
+        let one = checkpoint(&at("one"), None);
+        let two = [checkpoint(&at("two"), None)];
+        let error = export(&one, &two, &at("two"), Precision::Single);
+        assert!(matches!(error, Err(ExportError::Itself { .. })));
+        let mini = [Checkpoint::at(Path::new("built-in:mini")).expect("opens")];
+        let error = export(&one, &mini, &at("out"), Precision::Single).expect_err("no mean");
+        assert!(matches!(error, ExportError::Rounding(RoundingError::Differs { .. })), "{error}");
+        assert!(error.to_string().contains("one") && !at("out").exists(), "{error}");
+        // The one whose value has no place is named, not the first.
+        let far = [checkpoint(&at("far"), Some((4e5, 0.0)))];
+        let error = export(&one, &far, &at("out"), Precision::Half).expect_err("too large");
+        assert!(error.to_string().contains("far") && error.to_string().contains(KEY), "{error}");
     }
 
     #[test]
@@ -203,17 +256,18 @@ mod tests {
         let place = tempfile::tempdir().expect("a folder");
         let at = |name: &str| place.path().join(name);
         let good = checkpoint(&at("good"), None);
-        export(&good, &at("target"), Precision::Half).expect("exports");
+        export(&good, &[], &at("target"), Precision::Half).expect("exports");
         let before = tensors(&at("target"));
         // 65519 rounds down to 65504, 65520 is beyond.
         let edge = checkpoint(&at("edge"), Some((65_519.0, 0.0)));
-        export(&edge, &at("fits"), Precision::Half).expect("fits");
+        export(&edge, &[], &at("fits"), Precision::Half).expect("fits");
         for value in [65_520.0, -1e9, f32::INFINITY, f32::NAN] {
             let bad = checkpoint(&at("bad"), Some((value, 0.0)));
-            let error = export(&bad, &at("target"), Precision::Half).expect_err("does not fit");
+            let error =
+                export(&bad, &[], &at("target"), Precision::Half).expect_err("does not fit");
             assert!(matches!(error, ExportError::Rounding(RoundingError::Value { .. })), "{error}");
             assert!(error.to_string().contains(KEY), "{error}");
-            let whole = export(&bad, &at("whole"), Precision::Single);
+            let whole = export(&bad, &[], &at("whole"), Precision::Single);
             assert_eq!(whole.is_ok(), value.is_finite());
         }
         assert_eq!(tensors(&at("target")), before);
@@ -234,7 +288,7 @@ mod tests {
         };
         let of = |value: f32| {
             let made = checkpoint(&place.path().join("made"), Some((value, 0.0)));
-            export(&made, &place.path().join("out"), Precision::Half).expect("exports")
+            export(&made, &[], &place.path().join("out"), Precision::Half).expect("exports")
         };
         let (zero, tiny) = (of(0.0), of(1e-9));
         assert_eq!((tiny.small - zero.small, tiny.vanished - zero.vanished), (count, count));
@@ -250,13 +304,14 @@ mod tests {
     fn other_files_and_the_checkpoint_itself_are_not_replaced() {
         let place = tempfile::tempdir().expect("a folder");
         let source = checkpoint(&place.path().join("source"), None);
-        let error = export(&source, &place.path().join("source"), Precision::Half);
+        let error = export(&source, &[], &place.path().join("source"), Precision::Half);
         assert!(matches!(error, Err(ExportError::Itself { .. })));
         std::fs::create_dir(place.path().join("home")).expect("makes");
         std::fs::write(place.path().join("home/thesis.tex"), "x").expect("writes");
-        let error = export(&source, &place.path().join("home"), Precision::Half).expect_err("no");
+        let error =
+            export(&source, &[], &place.path().join("home"), Precision::Half).expect_err("no");
         assert!(error.to_string().contains("thesis.tex"), "{error}");
-        let error = export(&source, &place.path().join("no/such/place"), Precision::Half);
+        let error = export(&source, &[], &place.path().join("no/such/place"), Precision::Half);
         assert!(matches!(error, Err(ExportError::Io { .. })));
     }
 }

@@ -35,6 +35,11 @@ fn weights_in_half_of_the_bytes_score_as_the_whole_ones_and_are_compared() {
     assert!((half.len() as f64) < 0.52 * wide as f64, "{} of {wide}", half.len());
     // The model inside the program is in half precision itself: nothing was rounded on the way.
     assert_eq!(half, sat3d::model::weights::MINI.weights);
+    // The mean of a model and itself is itself.
+    let mean = ["export", "--weights", "copy", "--weights", "half", "--out", "mean", "--half"];
+    let text = stdout(&run(&mut model(&mean, folder.path()), 0));
+    assert!(text.contains("mean of 2 checkpoints"), "{text}");
+    assert_eq!(half, fs::read(at("mean/diffusion_pytorch_model.safetensors")).unwrap());
 
     let score = |weights: &str, out: &str| {
         let few = ["--seeds", "1,2", "--scenes", "1", "--out", out];
@@ -78,6 +83,12 @@ fn what_cannot_be_scored_exported_or_compared_is_named() {
     let text = refused(&["export", "--weights", "built-in:mini", "--out", "mine"]);
     assert!(text.contains("mine"), "{text}");
     assert_eq!(fs::read(folder.path().join("mine/README.md")).unwrap(), b"notes");
+    let tiny = common::tiny_weights("no-mean");
+    let tiny = tiny.to_str().unwrap();
+    let mean = ["export", "--weights", "built-in:mini", "--weights", tiny, "--out", "mean"];
+    let text = refused(&mean);
+    assert!(text.contains("built-in:mini") && text.contains(tiny), "{text}");
+    assert!(!folder.path().join("mean").exists());
 }
 
 #[test]

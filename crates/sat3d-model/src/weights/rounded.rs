@@ -1,4 +1,4 @@
-//! Weights written with 32-bit or 16-bit floats.
+//! Weights, or the mean of several networks' weights, written with 32-bit or 16-bit floats.
 
 use super::{Checkpoint, MappedFile};
 use crate::error::ModelError;
@@ -49,6 +49,17 @@ pub enum RoundingError {
     /// A tensor cannot be read.
     #[error(transparent)]
     Read(#[from] ModelError),
+    /// Networks of two kinds have no mean.
+    #[error(
+        "{}: its config.json says another network than that of {}; the mean of weights needs networks of one kind",
+        other.display(), first.display()
+    )]
+    Differs {
+        /// The first checkpoint's folder.
+        first: PathBuf,
+        /// The folder of the one that does not fit to it.
+        other: PathBuf,
+    },
     /// A value beyond 65504, the largest 16-bit float, or none at all.
     #[error(
         "{}: value {index} of `{tensor}` is {value}, which {}", path.display(),
@@ -77,21 +88,33 @@ pub enum RoundingError {
 /// Writes the tensors of a checkpoint to a safetensors file, all in one precision, sorted by their keys: its
 /// bytes depend on keys, shapes and values alone. One tensor at a time is in memory.
 ///
+/// With `others`, each value is the mean of theirs and the checkpoint's, in 64 bits, rounded once: trainings that went
+/// on from the same weights make errors that differ, and the mean of their weights has fewer of them (Wortsman et al.,
+/// Model soups, ICML 2022).
+///
 /// # Errors
-/// [`RoundingError::Value`] where a value does not fit, before anything is written; [`RoundingError::Read`];
-/// [`RoundingError::Write`].
+/// [`RoundingError::Differs`] where a network is of another kind than the first; [`RoundingError::Value`] where a value
+/// does not fit, before anything is written; [`RoundingError::Read`]; [`RoundingError::Write`].
 pub fn write_rounded(
     checkpoint: &Checkpoint,
+    others: &[Checkpoint],
     precision: Precision,
     path: &Path,
 ) -> Result<Rounding, RoundingError> {
-    let file = checkpoint.file();
-    let mut keys: Vec<&str> = file.keys().collect();
+    if let Some(other) = others.iter().find(|other| other.config() != checkpoint.config()) {
+        let (first, other) = (checkpoint.folder().into(), other.folder().into());
+        return Err(RoundingError::Differs { first, other });
+    }
+    let first = checkpoint.file();
+    let files: Vec<&MappedFile> =
+        std::iter::once(first).chain(others.iter().map(Checkpoint::file)).collect();
+    let mut keys: Vec<&str> = first.keys().collect();
     keys.sort_unstable();
     let mut rounding = Rounding::default();
     let mut tensors = Vec::with_capacity(keys.len());
     for key in keys {
-        let tensor = Tensor { file, key, shape: file.shape(key).unwrap_or_default(), precision };
+        let shape = first.shape(key).unwrap_or_default();
+        let tensor = Tensor { files: &files, key, shape, precision };
         tensor.check(&mut rounding)?;
         tensors.push((key, tensor));
     }
@@ -107,18 +130,33 @@ pub fn write_rounded(
     Ok(rounding)
 }
 
-/// A tensor of a file, converted while it is written.
+/// The mean of a tensor over files, made and converted while it is written.
 struct Tensor<'a> {
-    file: &'a MappedFile,
+    files: &'a [&'a MappedFile],
     key: &'a str,
     shape: &'a [usize],
     precision: Precision,
 }
 
 impl Tensor<'_> {
+    /// The values, as 32-bit floats; those of a single file to the bit.
+    fn values(&self) -> Result<Vec<f32>, ModelError> {
+        if let [file] = self.files {
+            return file.read(self.key, self.shape);
+        }
+        let mut sum = vec![0.0_f64; self.shape.iter().product()];
+        for file in self.files {
+            for (sum, value) in sum.iter_mut().zip(file.read(self.key, self.shape)?) {
+                *sum += f64::from(value);
+            }
+        }
+        let count = self.files.len() as f64;
+        Ok(sum.into_iter().map(|sum| (sum / count) as f32).collect())
+    }
+
     /// Looks at every value, and adds to `rounding` what becomes of it.
     fn check(&self, rounding: &mut Rounding) -> Result<(), RoundingError> {
-        let values = self.file.read(self.key, self.shape)?;
+        let values = self.values()?;
         rounding.tensors += 1;
         rounding.values += values.len() as u64;
         for (index, value) in values.into_iter().enumerate() {
@@ -127,7 +165,7 @@ impl Tensor<'_> {
                 Precision::Half => f16::from_f32(value).to_f32(),
             };
             if !written.is_finite() {
-                let (path, tensor) = (self.file.path().into(), self.key.into());
+                let (path, tensor) = (self.guilty(index).path().into(), self.key.into());
                 return Err(RoundingError::Value { path, tensor, index, value });
             }
             let change = (f64::from(written) - f64::from(value)).abs();
@@ -147,6 +185,21 @@ impl Tensor<'_> {
     }
 }
 
+impl<'a> Tensor<'a> {
+    /// The file that makes the mean at this place what cannot be written: the first without a finite value there, else
+    /// the one with the largest.
+    fn guilty(&self, index: usize) -> &'a MappedFile {
+        let size = |file: &&&MappedFile| {
+            let value =
+                file.read(self.key, self.shape).ok().and_then(|all| all.get(index).copied());
+            let size = value.unwrap_or(0.0).abs();
+            if size.is_finite() { size } else { f32::INFINITY }
+        };
+        let largest = self.files.iter().rev().max_by(|a, b| size(a).total_cmp(&size(b)));
+        largest.copied().unwrap_or(self.files[0])
+    }
+}
+
 impl View for Tensor<'_> {
     fn dtype(&self) -> Dtype {
         match self.precision {
@@ -162,7 +215,7 @@ impl View for Tensor<'_> {
     fn data(&self) -> Cow<'_, [u8]> {
         // It was read before; a tensor without its bytes makes a file that is not whole, which whoever opens it
         // refuses.
-        let values = self.file.read(self.key, self.shape).unwrap_or_default().into_iter();
+        let values = self.values().unwrap_or_default().into_iter();
         Cow::Owned(match self.precision {
             Precision::Single => values.flat_map(f32::to_le_bytes).collect(),
             Precision::Half => values.flat_map(|v| f16::from_f32(v).to_le_bytes()).collect(),
