@@ -165,8 +165,7 @@ impl Tensor<'_> {
                 Precision::Half => f16::from_f32(value).to_f32(),
             };
             if !written.is_finite() {
-                let (path, tensor) = (self.guilty(index).path().into(), self.key.into());
-                return Err(RoundingError::Value { path, tensor, index, value });
+                return Err(self.refused(index, value));
             }
             let change = (f64::from(written) - f64::from(value)).abs();
             if value.abs() >= LEAST_NORMAL {
@@ -183,20 +182,16 @@ impl Tensor<'_> {
         }
         Ok(())
     }
-}
 
-impl<'a> Tensor<'a> {
-    /// The file that makes the mean at this place what cannot be written: the first without a finite value there, else
-    /// the one with the largest.
-    fn guilty(&self, index: usize) -> &'a MappedFile {
-        let size = |file: &&&MappedFile| {
-            let value =
-                file.read(self.key, self.shape).ok().and_then(|all| all.get(index).copied());
-            let size = value.unwrap_or(0.0).abs();
-            if size.is_finite() { size } else { f32::INFINITY }
-        };
-        let largest = self.files.iter().rev().max_by(|a, b| size(a).total_cmp(&size(b)));
-        largest.copied().unwrap_or(self.files[0])
+    /// What is said of a mean that cannot be written: of the values that it is made of, the first that is no number,
+    /// else the largest, and the file that holds it.
+    fn refused(&self, index: usize, mean: f32) -> RoundingError {
+        let of = |file: &&MappedFile| file.read(self.key, self.shape).ok()?.get(index).copied();
+        let all = self.files.iter().filter_map(|file| Some((file.path(), of(file)?)));
+        let size = |value: f32| if value.is_finite() { value.abs() } else { f32::INFINITY };
+        let worst = all.reduce(|a, b| if size(b.1) > size(a.1) { b } else { a });
+        let (path, value) = worst.unwrap_or((self.files[0].path(), mean));
+        RoundingError::Value { path: path.into(), tensor: self.key.into(), index, value }
     }
 }
 
